@@ -1,0 +1,1 @@
+"""The world, the compiled step and the TorchRL environment."""

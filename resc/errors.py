@@ -1,0 +1,25 @@
+"""The errors a user of RESC can meet; each message is one sentence of fact and one of help."""
+
+
+class RescError(Exception):
+    """Base of every error that a user can act on; the scripts print it without a traceback."""
+
+
+class ConfigError(RescError):
+    """A wrong name, number or combination in the configuration; raised while building."""
+
+
+class PlanningError(RescError):
+    """A start, goal or map that no path can be planned for."""
+
+
+class RecordingError(RescError):
+    """A recording that cannot be written or read."""
+
+
+class CheckpointError(RescError):
+    """A checkpoint or policy that is damaged or does not fit the environment."""
+
+
+class NumericalError(RescError):
+    """A value that is not finite where only finite ones make sense."""

@@ -1,0 +1,1 @@
+"""Grids: exact distance transform, look-ups, rays."""

@@ -1,0 +1,16 @@
+"""Constants of the published obstacle observation (facts 4.1)."""
+
+import math
+
+INFLATION_M = 0.30
+"""Radius within which the vehicle counts as colliding."""
+OCCUPIED_M = 0.29
+"""A cell nearer than this to an obstacle counts as occupied: the inflation less a guard against rounding."""
+MARGIN_M = math.sqrt(2) * INFLATION_M
+"""Taken off the distance field before each jump of a ray."""
+SHORTEST_STEP_M = 0.1
+HALF_SECTOR_RAD = math.pi / 3
+GAP_M = 0.9
+"""Two neighbouring hits farther apart than this belong to different obstacles."""
+REACHED_M = 1e-3
+"""A ray that ends this near its length met nothing."""

@@ -1,0 +1,134 @@
+"""The rays of `resc.maps.ray_casting` on the CPU: one environment after the other, each ray only as far as it must go.
+
+Single precision throughout and the same order of operations as the torch version, so that both look into the same cells.
+"""
+
+import math
+
+import numba
+import numpy as np
+from numba import njit, prange
+
+from resc.maps.constants import (
+    GAP_M,
+    HALF_SECTOR_RAD,
+    MARGIN_M,
+    OCCUPIED_M,
+    REACHED_M,
+    SHORTEST_STEP_M,
+)
+
+F = np.float32
+_OCCUPIED, _MARGIN, _STEP = F(OCCUPIED_M), F(MARGIN_M), F(SHORTEST_STEP_M)
+_GAP, _REACHED, _SECTOR = F(GAP_M), F(REACHED_M), F(HALF_SECTOR_RAD)
+
+
+@njit(cache=True, inline="always")
+def _at(field, x, y, ox, oy, last_x, last_y, per_m):
+    """Distance stored in the cell of (x, y), clamped to the map."""
+    column = int(min(max((x - ox) * per_m, F(0.0)), last_x))
+    row = int(min(max((y - oy) * per_m, F(0.0)), last_y))
+    return field[row, column]
+
+
+@njit(cache=True)
+def _cast(field, x, y, ux, uy, length, ox, oy, sx, sy, per_m):
+    """How far a ray gets, and whether the cell it ends in is occupied (facts 4.3)."""
+    last_x, last_y = sx * per_m - F(0.5), sy * per_m - F(0.5)
+    travelled = F(0.0)
+    distance = _at(field, x, y, ox, oy, last_x, last_y, per_m)
+    while travelled < length:
+        ahead = travelled + max(distance - _MARGIN, _STEP)
+        qx, qy = x + ahead * ux, y + ahead * uy
+        if not (qx - ox >= F(0.0) and qy - oy >= F(0.0) and qx - ox < sx and qy - oy < sy):
+            return travelled, distance < _OCCUPIED
+        distance = _at(field, qx, qy, ox, oy, last_x, last_y, per_m)
+        if distance < _OCCUPIED:
+            return ahead, True
+        travelled = ahead
+    distance = _at(field, x + length * ux, y + length * uy, ox, oy, last_x, last_y, per_m)
+    return length, distance < _OCCUPIED
+
+
+@njit(cache=True)
+def _sweep(field, x, y, toward, radius, side, guide_reach, guide_blocked, ox, oy, sx, sy, per_m):
+    """Where the edge of one side lies: x, y (facts 4.4)."""
+    step = F(math.atan2(F(0.5) / per_m, radius))
+    hit_x = x + guide_reach * F(math.cos(toward))
+    hit_y = y + guide_reach * F(math.sin(toward))
+    last_reach = guide_reach
+    k = 1
+    while F(k - 1) * step < _SECTOR:
+        angle = toward + side * (F(k) * step)
+        ux, uy = F(math.cos(angle)), F(math.sin(angle))
+        reach, blocked = _cast(field, x, y, ux, uy, radius, ox, oy, sx, sy, per_m)
+        if guide_blocked:
+            if blocked and reach - last_reach > _GAP or (not blocked and radius - reach < _REACHED):
+                break
+        if not guide_blocked or blocked:
+            hit_x, hit_y, last_reach = x + reach * ux, y + reach * uy, reach
+        if blocked and not guide_blocked:
+            break
+        k += 1
+    return hit_x, hit_y
+
+
+@njit(cache=True)
+def _corner(x, y, hit_x, hit_y, offset_x, offset_y, nearest, ox, oy, resolution):
+    """The corner of the cell hit at the least (or greatest) angle to the guide, relative to the vehicle."""
+    west = F(math.floor((hit_x - ox) / resolution)) * resolution + ox - x
+    south = F(math.floor((hit_y - oy) / resolution)) * resolution + oy - y
+    best, best_x, best_y = F(-np.inf), west, south
+    sign = F(1.0) if nearest else F(-1.0)
+    for i in range(4):
+        cx = west + (resolution if i >= 2 else F(0.0))
+        cy = south + (resolution if i % 2 else F(0.0))
+        reach = max(F(math.sqrt(cx * cx + cy * cy)), F(1e-9))
+        score = sign * (cx * offset_x + cy * offset_y) / reach
+        if score > best:
+            best, best_x, best_y = score, cx, cy
+    return best_x, best_y
+
+
+@njit(cache=True, parallel=True)
+def _cast_batch(esdf, index, origin, size, here, heading, reach, result, resolution):
+    per_m = F(1.0) / resolution
+    for i in prange(here.shape[0]):
+        ux, uy = F(math.cos(heading[i])), F(math.sin(heading[i]))
+        result[i] = _cast(
+            esdf[index[i]], here[i, 0], here[i, 1], ux, uy, reach[i],
+            origin[i, 0], origin[i, 1], size[i, 0], size[i, 1], per_m,
+        )[0]  # fmt: skip
+
+
+@njit(cache=True, parallel=True)
+def _guided_batch(esdf, index, origin, size, here, offset, radius, result, resolution):
+    per_m = F(1.0) / resolution
+    for i in prange(here.shape[0]):
+        x, y, ox, oy, sx, sy = here[i, 0], here[i, 1], origin[i, 0], origin[i, 1], size[i, 0], size[i, 1]
+        if not (x - ox >= F(0.0) and y - oy >= F(0.0) and x - ox < sx and y - oy < sy):
+            result[i] = F(0.0)
+            continue
+        field = esdf[index[i]]
+        toward = F(math.atan2(offset[i, 1], offset[i, 0]))
+        ux, uy = F(math.cos(toward)), F(math.sin(toward))
+        reach, blocked = _cast(field, x, y, ux, uy, radius[i], ox, oy, sx, sy, per_m)
+        for k in range(2):
+            side = F(1.0) if k == 0 else F(-1.0)
+            hit_x, hit_y = _sweep(
+                field, x, y, toward, radius[i], side, reach, blocked, ox, oy, sx, sy, per_m
+            )
+            edge = _corner(x, y, hit_x, hit_y, offset[i, 0], offset[i, 1], not blocked, ox, oy, resolution)
+            result[i, 2 * k], result[i, 2 * k + 1] = edge
+
+
+def cast_batch(esdf, index, origin, size, here, heading, reach, result, resolution, threads):
+    """Writes the free distance [m] of one ray per environment to `result` [n]."""
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    _cast_batch(esdf, index, origin, size, here, heading, reach, result, F(resolution))
+
+
+def guided_batch(esdf, index, origin, size, here, offset, radius, result, resolution, threads):
+    """Writes the two edges per environment [m] to `result` [n, 4]."""
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    _guided_batch(esdf, index, origin, size, here, offset, radius, result, F(resolution))

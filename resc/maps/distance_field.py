@@ -1,0 +1,53 @@
+"""Look-ups in a pool of distance fields, by truncation to the cell."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class DistanceField:
+    """The distance field of each environment: one entry of a pool [p, h, w], cell (0, 0) at `origin_w`.
+
+    Args:
+        esdf: The pool [m].
+        index: Entry per environment.
+        origin_w: Lower-left corner per environment [m].
+        size: Extent in x and y per environment [m]; cells beyond it are padding.
+        resolution_m: Edge of a cell.
+    """
+
+    esdf: Float[Tensor, "p h w"]
+    index: Int[Tensor, " n"]
+    origin_w: Float[Tensor, "n 2"]
+    size: Float[Tensor, "n 2"]
+    resolution_m: float
+
+    def at(self, x: Float[Tensor, "*k n"], y: Float[Tensor, "*k n"]) -> Float[Tensor, "*k n"]:
+        """Distance [m] stored in the cell of (x, y); outside, that of the nearest border cell. Environments last."""
+        _, height, width = self.esdf.shape
+        per_m = 1.0 / self.resolution_m
+        last = self.size * per_m - 0.5
+        column = ((x - self.origin_w[:, 0]) * per_m).clamp(min=0).minimum(last[:, 0]).to(torch.int32)
+        row = ((y - self.origin_w[:, 1]) * per_m).clamp(min=0).minimum(last[:, 1]).to(torch.int32)
+        offset = self.index.to(torch.int32) * (height * width)
+        return self.esdf.view(-1)[offset + row * width + column]
+
+    def inside(self, x: Float[Tensor, "*k n"], y: Float[Tensor, "*k n"]) -> Bool[Tensor, "*k n"]:
+        """Whether (x, y) lies on the map."""
+        east, north = x - self.origin_w[:, 0], y - self.origin_w[:, 1]
+        return (east >= 0) & (north >= 0) & (east < self.size[:, 0]) & (north < self.size[:, 1])
+
+
+def select(
+    esdf: Float[Tensor, "p h w"],
+    index: Int[Tensor, "n 1"],
+    origin_w: Float[Tensor, "p 2"],
+    size: Float[Tensor, "p 2"],
+    resolution_m: float,
+) -> DistanceField:
+    """The distance fields of the environments whose pool entries are `index`."""
+    entry = index[:, 0]
+    return DistanceField(esdf, entry, origin_w[entry], size[entry], resolution_m)

@@ -1,0 +1,1 @@
+"""Pure functions on batched tensors: rotations, integration, geometry."""

@@ -1,0 +1,39 @@
+"""Distances that do not turn into NaN, and boxes in the plane."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+EPSILON = 1e-9
+"""Added to squared norms, so that gradients stay finite at zero [m^2]."""
+
+
+def norm(vector: Float[Tensor, "*n d"]) -> Float[Tensor, "*n 1"]:
+    """The Euclidean norm, the axis kept; finite gradient at zero."""
+    return (vector.square().sum(-1, keepdim=True) + EPSILON).sqrt()
+
+
+def distance(a: Float[Tensor, "*n d"], b: Float[Tensor, "*n d"]) -> Float[Tensor, "*n 1"]:
+    """The Euclidean distance, the axis kept."""
+    return norm(a - b)
+
+
+def box_distance(points: Float[Tensor, "n 2"], boxes: Float[Tensor, "n k 4"]) -> Float[Tensor, "n k"]:
+    """Signed distance [m] from a point to each axis-aligned box `[x, y, len_x, len_y]`: negative inside.
+
+    |max(q, 0)| + min(max(q_x, q_y), 0), with q = |p - centre| - half the lengths.
+    """
+    half = boxes[..., 2:] / 2
+    q = (points.unsqueeze(-2) - boxes[..., :2] - half).abs() - half
+    outside = q.clamp(min=0).square().sum(-1).sqrt()
+    return outside + q.amax(-1).clamp(max=0)
+
+
+def segment_distance(
+    points: Float[Tensor, "*n 2"], start: Float[Tensor, "*n 2"], end: Float[Tensor, "*n 2"]
+) -> Float[Tensor, "*n"]:
+    """Distance [m] from points to the segments start-end."""
+    along = end - start
+    share = ((points - start) * along).sum(-1) / (along.square().sum(-1) + EPSILON)
+    nearest = start + share.clamp(0, 1).unsqueeze(-1) * along
+    return torch.linalg.vector_norm(points - nearest, dim=-1)

@@ -1,0 +1,85 @@
+"""Hamilton quaternions, wxyz, body to world; ZYX Euler angles (roll, pitch, yaw)."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def multiply(a: Float[Tensor, "n 4"], b: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
+    """The Hamilton product a * b."""
+    aw, ax, ay, az = a.unbind(-1)
+    bw, bx, by, bz = b.unbind(-1)
+    return torch.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        -1,
+    )
+
+
+def normalize(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
+    """The unit quaternion of the same rotation."""
+    return attitude / attitude.square().sum(-1, keepdim=True).sqrt()
+
+
+def body_x_w(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3"]:
+    """The body's forward axis in the world frame."""
+    w, x, y, z = attitude.unbind(-1)
+    return torch.stack((1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)), -1)
+
+
+def body_z_w(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3"]:
+    """The body's upward axis, the direction of thrust, in the world frame."""
+    w, x, y, z = attitude.unbind(-1)
+    return torch.stack((2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)), -1)
+
+
+def rotate(attitude: Float[Tensor, "n 4"], vector_b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """A body-frame vector in the world frame: v + 2 w (u x v) + 2 u x (u x v), with q = (w, u)."""
+    w, u = attitude[..., :1], attitude[..., 1:]
+    t = 2 * torch.linalg.cross(u, vector_b)
+    return vector_b + w * t + torch.linalg.cross(u, t)
+
+
+def rotate_inverse(attitude: Float[Tensor, "n 4"], vector_w: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """A world-frame vector in the body frame."""
+    w, u = attitude[..., :1], attitude[..., 1:]
+    t = 2 * torch.linalg.cross(u, vector_w)
+    return vector_w - w * t + torch.linalg.cross(u, t)
+
+
+def euler_from_quaternion(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3"]:
+    """Roll, pitch, yaw [rad] of R = Rz(yaw) Ry(pitch) Rx(roll); pitch is clamped at +-pi/2."""
+    w, x, y, z = attitude.unbind(-1)
+    roll = torch.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = torch.asin((2 * (w * y - z * x)).clamp(-1.0, 1.0))
+    yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return torch.stack((roll, pitch, yaw), -1)
+
+
+def quaternion_from_euler(euler: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
+    """The quaternion of R = Rz(yaw) Ry(pitch) Rx(roll), angles in rad."""
+    half = euler / 2
+    cr, cp, cy = half.cos().unbind(-1)
+    sr, sp, sy = half.sin().unbind(-1)
+    return torch.stack(
+        (
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ),
+        -1,
+    )
+
+
+def derivative(attitude: Float[Tensor, "n 4"], body_rate_b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
+    """The time derivative q * (0, omega) / 2 [1/s]."""
+    w, x, y, z = attitude.unbind(-1)
+    p, q, r = body_rate_b.unbind(-1)
+    return 0.5 * torch.stack(
+        (-x * p - y * q - z * r, w * p + y * r - z * q, w * q - x * r + z * p, w * r + x * q - y * p), -1
+    )

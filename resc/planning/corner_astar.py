@@ -1,0 +1,241 @@
+"""A* over convex corners: the compiled kernel of the visibility search.
+
+f = g + h with Euclidean lengths in float64; a heap entry that has become stale is skipped when it comes up.  Nothing is
+cleared between queries: the mark of a cell carries the number of the query that wrote it.
+"""
+
+from math import hypot, inf, sqrt
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from resc.planning.cone_scan import CODE, LABEL, scan_all, scan_axis, scan_cone
+from resc.planning.grid import (
+    CORNER_NN,
+    CORNER_NP,
+    CORNER_PN,
+    CORNER_PP,
+    _line_is_free,
+    _segment_is_free,
+)
+
+FOUND, UNREACHABLE, BUDGET, HEAP_FULL = range(4)
+
+# Flags of a cell in the low bits of its mark; the rest of the mark is the number of the query.
+_OPENED, _CLOSED, _SEES_GOAL = 1, 2, 4
+_FLAG_BITS = 3
+
+# The four corner bits with the signs of their sides.
+_SIDES = ((CORNER_PP, 1, 1), (CORNER_NN, -1, -1), (CORNER_PN, 1, -1), (CORNER_NP, -1, 1))
+
+_SAME_POINT_CELLS = 1e-9
+
+
+def workspace(cells: int, heap: int) -> tuple[np.ndarray, ...]:
+    """Memory for queries on maps of up to `cells` cells with up to `heap` open corners; the marks must start at zero."""
+    rows = cells + 64  # a scan of a very small map still needs a few
+    return (
+        np.zeros(cells, np.int64),  # mark
+        np.empty(cells, np.int32),  # parent
+        np.empty(cells, np.float64),  # g
+        np.empty(heap, np.float64),  # heap: keys
+        np.empty(heap, np.int32),  # heap: cells
+        np.empty((rows, 5), np.int64),  # cones still to scan
+        np.empty((rows, 2), np.int64),  # corners found by a scan
+        np.empty((rows, 2), np.float64),  # points of the path
+    )
+
+
+@njit(cache=True)
+@no_type_check
+def find_path(blocked, table, start, goal, limit, query, work):
+    """Status, number of points, length, expansions; the points are left in the workspace, all in cells.
+
+    `start` and `goal` are (u, v, x, y): exact point and cell.
+    """
+    mark, parent, cost, key, entry, stack, found, points = work
+    su, sv, sx, sy = start
+    gu, gv, gx, gy = goal
+    if table[LABEL, sy, sx] != table[LABEL, gy, gx]:
+        return UNREACHABLE, 0, inf, 0
+    status, expansions = _search(blocked, table, (sx, sy), (gx, gy), limit, query, work)
+    if status != FOUND:
+        return status, 0, inf, expansions
+    count = _trace(parent, blocked.shape[1], sx, sy, gx, gy, points)
+    count = _join_ends(blocked, points, count, su, sv, gu, gv)
+    length = 0.0
+    for n in range(1, count):
+        length += hypot(points[n, 0] - points[n - 1, 0], points[n, 1] - points[n - 1, 1])
+    return FOUND, count, length, expansions
+
+
+@njit(cache=True)
+@no_type_check
+def _search(blocked, table, start, goal, limit, query, work):
+    """Status and number of expansions; the path is left in `parent`, from the goal back to the start."""
+    mark, parent, cost, key, entry, stack, found, _ = work
+    width = blocked.shape[1]
+    sx, sy = start
+    gx, gy = goal
+    first, last = sy * width + sx, gy * width + gx
+    if _line_is_free(blocked, sx, sy, gx, gy):
+        parent[last] = first
+        return FOUND, 0
+
+    fresh = query << _FLAG_BITS
+    for n in range(scan_all(table, gx, gy, stack, found, 0)):
+        mark[found[n, 1] * width + found[n, 0]] = fresh | _SEES_GOAL
+    mark[last] = fresh | _SEES_GOAL
+    mark[first] = fresh | _OPENED
+    cost[first] = 0.0
+    size = _push(key, entry, 0, hypot(gx - sx, gy - sy), first)
+    best, expansions = inf, 0
+    while size and key[0] < best:
+        cell = entry[0]
+        size = _pop(key, entry, size)
+        if mark[cell] & _CLOSED:
+            continue
+        if expansions == limit:
+            return BUDGET, expansions
+        expansions += 1
+        mark[cell] |= _CLOSED
+        x, y = cell % width, cell // width
+        if cell == first:
+            count = scan_all(table, x, y, stack, found, 0)
+        else:
+            dx, dy = x - parent[cell] % width, y - parent[cell] // width
+            count = _scan_onward(table, x, y, dx, dy, stack, found)
+        for n in range(count):
+            u, v = found[n, 0], found[n, 1]
+            at = v * width + u
+            flags = mark[at]
+            if flags < fresh:
+                flags = fresh
+            g = cost[cell] + sqrt((u - x) ** 2 + (v - y) ** 2)
+            if flags & _CLOSED or (flags & _OPENED and g >= cost[at]):
+                continue
+            f = g + sqrt((u - gx) ** 2 + (v - gy) ** 2)
+            if f >= best:
+                continue
+            mark[at] = flags | _OPENED
+            cost[at], parent[at] = g, cell
+            if flags & _SEES_GOAL:  # f is the true cost of the path through here
+                best = f
+                if at != last:
+                    parent[last] = at
+            elif size == len(entry):
+                return HEAP_FULL, expansions
+            else:
+                size = _push(key, entry, size, f, at)
+    return (FOUND if best < inf else UNREACHABLE), expansions
+
+
+@njit(cache=True)
+@no_type_check
+def _scan_onward(table, x, y, dx, dy, stack, found):
+    """Corners that can follow (x, y) on a shortest path that arrives there in direction (dx, dy).
+
+    It can only turn towards an obstacle that it passes beside: onward directions lie between its own and the side of that
+    obstacle, all within one quadrant.
+    """
+    count = 0
+    ahead = abs(dy)
+    for bit, qx, qy in _SIDES:
+        if not table[CODE, y, x] & bit:
+            continue
+        if dx * qx >= 0 and dy * qy < 0:  # passes below or above the obstacle: turn towards (qx, 0)
+            count = scan_axis(table, x, y, qx, 0, found, count)
+            cone = (dx, ahead, 1, 0) if qx > 0 else (-1, 0, dx, ahead)
+            count = scan_cone(table, x, y, -qy, cone, stack, found, count)
+        elif dx * qx < 0 and dy * qy >= 0:  # passes left or right of it: turn towards (0, qy)
+            count = scan_axis(table, x, y, 0, qy, found, count)
+            cone = (dx, ahead, 0, 1) if qx > 0 else (0, 1, dx, ahead)
+            count = scan_cone(table, x, y, qy, cone, stack, found, count)
+    return count
+
+
+@njit(cache=True)
+@no_type_check
+def _trace(parent, width, sx, sy, gx, gy, points):
+    """Write the turning points, from the second row of `points` on; return how many."""
+    cell, first, count = gy * width + gx, sy * width + sx, 1
+    while cell != first:
+        count += 1
+        cell = parent[cell]
+    cell = gy * width + gx
+    for n in range(count, 0, -1):
+        points[n, 0], points[n, 1] = cell % width, cell // width
+        cell = parent[cell]
+    kept = 1
+    for n in range(2, count + 1):
+        ax, ay = points[n, 0] - points[kept, 0], points[n, 1] - points[kept, 1]
+        if n < count:
+            bx, by = points[n + 1, 0] - points[n, 0], points[n + 1, 1] - points[n, 1]
+            if ax * by == ay * bx:
+                continue
+        kept += 1
+        points[kept] = points[n]
+    return kept
+
+
+@njit(cache=True)
+@no_type_check
+def _join_ends(blocked, points, count, su, sv, gu, gv):
+    """Put the exact ends round turning points 1 .. count, without the cell centres that these make needless."""
+    points[0, 0], points[0, 1] = su, sv
+    points[count + 1, 0], points[count + 1, 1] = gu, gv
+    if count == 1:  # both ends in one cell
+        points[1] = points[2]
+        return 2
+    first, last = 0, count + 1
+    if _replaces(blocked, points[0], points[1], points[2]):
+        points[1] = points[0]
+        first = 1
+    if _replaces(blocked, points[last], points[count], points[count - 1]):
+        points[count] = points[last]
+        last = count
+    for n in range(first, last + 1):
+        points[n - first] = points[n]
+    return last - first + 1
+
+
+@njit(cache=True)
+@no_type_check
+def _replaces(blocked, point, centre, beyond):
+    """Whether the path may go from `point` straight to `beyond`, past the centre of its own cell."""
+    off_centre = max(abs(point[0] - centre[0]), abs(point[1] - centre[1]))
+    return off_centre < _SAME_POINT_CELLS or _segment_is_free(
+        blocked, point[0], point[1], beyond[0], beyond[1]
+    )
+
+
+@njit(cache=True)
+@no_type_check
+def _push(key, entry, size, f, cell):
+    at = size
+    while at:
+        above = (at - 1) >> 1
+        if key[above] <= f:
+            break
+        key[at], entry[at] = key[above], entry[above]
+        at = above
+    key[at], entry[at] = f, cell
+    return size + 1
+
+
+@njit(cache=True)
+@no_type_check
+def _pop(key, entry, size):
+    size -= 1
+    f, cell = key[size], entry[size]
+    at, below = 0, 1
+    while below < size:
+        if below + 1 < size and key[below + 1] < key[below]:
+            below += 1
+        if key[below] >= f:
+            break
+        key[at], entry[at] = key[below], entry[below]
+        at, below = below, 2 * below + 1
+    key[at], entry[at] = f, cell
+    return size

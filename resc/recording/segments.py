@@ -1,0 +1,217 @@
+"""The files of a recording: one MCAP at a time, rotated by size, within a budget."""
+
+import contextlib
+import logging
+import mimetypes
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Literal, cast
+
+from mcap.writer import CompressionType, Writer
+
+from resc.errors import RecordingError
+from resc.recording.schema import SCHEMA_NAMES, Specification, require, schema_data
+
+ACTIVE = ".active"
+PATTERN = "rollouts_*.mcap"
+_CHUNK_BYTES = 1 << 20
+_COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+
+Message = tuple[int, int, bytes | memoryview]
+"""Log time [ns], sequence number, payload."""
+
+_log = logging.getLogger(__name__)
+
+
+class _File:
+    """Unbuffered output that knows its size, so that a failed write leaves nothing pending in memory."""
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self.size = 0
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            written = os.write(self._descriptor, view)
+            self.size += written
+            view = view[written:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+    def flush(self) -> None:
+        # fsync: network and quota file systems report a full disk only here.
+        os.fsync(self._descriptor)
+
+    def truncate(self, size: int) -> None:
+        os.ftruncate(self._descriptor, size)
+
+    def close(self) -> None:
+        descriptor, self._descriptor = self._descriptor, -1
+        os.close(descriptor)
+
+
+@dataclass(frozen=True)
+class FileHead:
+    """What every file of a recording begins with."""
+
+    specification: Specification
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+
+
+class Segment:
+    """One MCAP file while it is written, under the name `*.mcap.active` until it is complete."""
+
+    def __init__(self, path: Path, head: FileHead, compression: str) -> None:
+        self.path = path
+        self._active = path.with_name(path.name + ACTIVE)
+        self._file = _File(self._active)
+        stream = cast(IO[bytes], self._file)
+        self._writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=_COMPRESSION[compression])
+        self._durable = 0
+        try:
+            self._start(head)
+        except BaseException:
+            self.abandon()
+            self._active.unlink()
+            raise
+
+    def _start(self, head: FileHead) -> None:
+        writer, columns = self._writer, head.specification.columns
+        writer.start(profile="", library="resc")
+        writer.add_metadata("resc.run", dict(head.metadata))
+        writer.add_metadata("resc.spec", head.specification.to_metadata())
+        for name, data in head.attachments.items():
+            media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"
+            writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        self._channels = {
+            topic: writer.register_channel(
+                topic, "protobuf", writer.register_schema(name, "protobuf", schema_data(topic, columns))
+            )
+            for topic, name in SCHEMA_NAMES.items()
+        }
+        self.commit()
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._file.size
+
+    def append(self, topic: str, messages: Sequence[Message], publish_time: int) -> None:
+        """Write messages as chunks of their own."""
+        channel = self._channels[topic]
+        for log_time, sequence, data in messages:
+            self._writer.add_message(channel, log_time, cast(bytes, data), publish_time, sequence)
+        self._writer.flush()
+
+    def commit(self) -> None:
+        """Make everything written so far survive the process and the machine."""
+        self._file.flush()
+        self._durable = self._file.size
+
+    def finish(self) -> None:
+        """Write the summary and give the file its final name."""
+        self._writer.finish()
+        self._file.flush()
+        self._file.close()
+        self._active.rename(self.path)
+
+    def abandon(self) -> None:
+        """Cut the file back to what was committed; it stays `*.active` and readable."""
+        with contextlib.suppress(OSError):
+            self._file.truncate(self._durable)
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+
+class Segments:
+    """All files of a recorder in one directory, oldest first; numbering continues after files already there."""
+
+    def __init__(
+        self,
+        directory: Path,
+        head: FileHead,
+        *,
+        compression: str,
+        rotate_bytes: float,
+        max_bytes: float | None,
+        when_full: Literal["stop", "delete_oldest"],
+    ) -> None:
+        self._directory, self._head, self._compression = directory, head, compression
+        self._rotate_bytes, self._max_bytes, self._when_full = rotate_bytes, max_bytes, when_full
+        require(compression in _COMPRESSION, "compression", compression, "zstd, lz4 or none")
+        require(when_full in ("stop", "delete_oldest"), "when_full", when_full, "stop or delete_oldest")
+        require(rotate_bytes > 0, "rotate_mb", rotate_bytes / 1e6, "a positive size")
+        room = when_full == "stop" or max_bytes is None or max_bytes >= 2 * rotate_bytes
+        require(room, "max_gb", max_bytes, "at least twice rotate_mb, as only complete files can be deleted")
+        directory.mkdir(parents=True, exist_ok=True)
+        self._sizes = {path: path.stat().st_size for path in sorted(directory.glob(PATTERN))}
+        self._pinned: tuple[str, bytes] | None = None
+        self._full = when_full == "stop" and max_bytes is not None and sum(self._sizes.values()) >= max_bytes
+        self._active: Segment | None = None
+        self._activate()
+
+    def _activate(self) -> Segment:
+        """The file being written; the next one where the last is complete."""
+        if self._full:
+            raise RecordingError(
+                f"The recordings in {self._directory} have reached recorder.max_gb = {(self._max_bytes or 0) / 1e9:g}. "
+                "Raise it, set recorder.when_full=delete_oldest, or record less with recorder.every_n_batches."
+            )
+        if self._active is None:
+            taken = [path.name for path in self._directory.glob(PATTERN + "*")]
+            number = max((int(name.split("_")[1].split(".")[0]) for name in taken), default=-1) + 1
+            path = self._directory / f"rollouts_{number:05d}.mcap"
+            self._active = Segment(path, self._head, self._compression)
+        return self._active
+
+    def append(self, topic: str, messages: Sequence[Message], publish_time: int) -> None:
+        """Write messages, the first ones of a file after the pinned one."""
+        fresh = self._active is None
+        segment = self._activate()
+        if fresh and self._pinned is not None and topic != self._pinned[0]:
+            segment.append(self._pinned[0], [(messages[0][0], 0, self._pinned[1])], publish_time)
+        segment.append(topic, messages, publish_time)
+
+    def pin(self, topic: str, data: bytes) -> None:
+        """Repeat this message at the beginning of every later file."""
+        self._pinned = (topic, data)
+
+    def commit(self) -> None:
+        """End a batch: make it durable, then rotate and keep to the budget."""
+        segment = self._activate()
+        segment.commit()
+        exhausted = self._max_bytes is not None and sum(self._sizes.values()) + segment.size >= self._max_bytes
+        self._full = exhausted and self._when_full == "stop"
+        if self._full or segment.size >= self._rotate_bytes:
+            self.finish()
+        if exhausted and not self._full:
+            self._delete_oldest()
+
+    def _delete_oldest(self) -> None:
+        assert self._max_bytes is not None
+        active = 0 if self._active is None else self._active.size
+        for path in list(self._sizes)[: None if active else -1]:  # the newest file stays
+            if sum(self._sizes.values()) + active < self._max_bytes:
+                break
+            path.unlink(missing_ok=True)
+            _log.warning("Deleted %s (%.0f MB): recorder.max_gb is reached.", path, self._sizes.pop(path) / 1e6)
+
+    def finish(self) -> None:
+        """Complete the current file, if there is one."""
+        segment = self._active
+        if segment is not None:
+            segment.finish()
+            self._active = None
+            self._sizes[segment.path] = segment.path.stat().st_size
+
+    def abandon(self) -> None:
+        """Give up the current file after an error; what was committed stays readable."""
+        if self._active is not None:
+            self._active.abandon()
+            self._active = None

@@ -1,0 +1,205 @@
+"""One recorded file, complete or not: what it holds and where; chunks are read on demand."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Chunk, MessageIndex, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
+
+from resc.errors import RecordingError
+from resc.recording.schema import Specification
+from resc.recording.segments import ACTIVE
+from resc.recording.wire import Rows
+
+_MESSAGE = 0x05
+_RECORD = struct.Struct("<BQ")
+_MESSAGE_HEAD = 31  # opcode, length, channel, sequence, log time, publish time
+_CHUNK_HEAD = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed size, CRC
+
+
+@dataclass(frozen=True)
+class ChunkRef:
+    """Where a chunk lies in its file, and which messages it holds."""
+
+    channels: frozenset[int]
+    start_time: int
+    end_time: int
+    offset: int
+    length: int
+    compressed: int
+    codec: str
+
+
+@dataclass
+class Source:
+    """Index of one file."""
+
+    path: Path
+    specification: Specification
+    metadata: dict[str, str]
+    attachments: dict[str, bytes]
+    topics: dict[str, int]
+    chunks: list[ChunkRef]
+    complete: bool
+
+    def chunks_of(self, topic: str) -> list[ChunkRef]:
+        """References to the chunks that hold messages of a topic."""
+        channel = self.topics.get(topic)
+        return [chunk for chunk in self.chunks if channel in chunk.channels]
+
+    def rows(self, chunk: ChunkRef, topic: str) -> Iterator[Rows]:
+        """The messages of a topic in a chunk, in runs of equal length."""
+        return _message_runs(self._load(chunk), self.topics[topic])
+
+    def _load(self, chunk: ChunkRef) -> bytes:
+        with open_recording(self.path) as file:
+            file.seek(chunk.offset)
+            record = file.read(chunk.length)
+        _, _, _, _, size, crc = _CHUNK_HEAD.unpack_from(record)
+        data = memoryview(record)[len(record) - chunk.compressed :]
+        try:
+            if chunk.codec == "zstd":
+                data = zstandard.decompress(data, size)
+            elif chunk.codec == "lz4":
+                data = lz4.frame.decompress(data)
+            fine = crc in (0, zlib.crc32(data))
+        except (zstandard.ZstdError, RuntimeError):
+            fine = False
+        if not fine:
+            raise RecordingError(
+                f"{self.path} is damaged at byte {chunk.offset}; copy it again, or read the batches before it."
+            )
+        return bytes(data)
+
+
+def _message_runs(data: bytes, channel: int) -> Iterator[Rows]:
+    position = 0
+    while position < len(data):
+        opcode, length = _RECORD.unpack_from(data, position)
+        stride = _RECORD.size + length
+        if opcode != _MESSAGE:
+            position += stride
+            continue
+        # Opcode, length and channel of all messages of this length that may follow.
+        heads = np.ndarray(((len(data) - position) // stride, 11), np.uint8, data, position, (stride, 1))
+        same = (heads == heads[0]).all(axis=1)
+        count = len(same) if same.all() else int(same.argmin())
+        if int.from_bytes(data[position + 9 : position + 11], "little") == channel:
+            yield Rows(data, position + _MESSAGE_HEAD, stride, length - (_MESSAGE_HEAD - 9), count)
+        position += count * stride
+
+
+def open_recording(path: Path) -> IO[bytes]:
+    """The file, under its final name if it has been completed since it was listed."""
+    try:
+        return path.open("rb")
+    except FileNotFoundError:
+        if path.suffix != ACTIVE:
+            raise
+        return path.with_suffix("").open("rb")
+
+
+@dataclass
+class _Contents:
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    topics: dict[str, int] = field(default_factory=dict)
+    chunks: list[ChunkRef] = field(default_factory=list)
+
+
+def open_source(path: Path) -> Source | None:
+    """Index of a file; None for one that was cut before its description was written."""
+    try:
+        with open_recording(path) as file:
+            magic = file.read(len(MCAP0_MAGIC))
+            if magic != MCAP0_MAGIC[: len(magic)]:
+                raise RecordingError(f"{path} is not an MCAP file; give a recording of RESC, its directory or a pattern.")
+            complete = _ends_properly(file)
+            file.seek(0)
+            contents = _index(file) if complete else _recover(file)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}. Check the path and its permissions.") from error
+    if "resc.spec" not in contents.metadata:
+        if not complete:
+            return None
+        raise RecordingError(f"{path} is an MCAP file without 'resc.spec'; RESC reads only the recordings it wrote.")
+    specification = Specification.from_metadata(contents.metadata["resc.spec"], str(path))
+    run = contents.metadata.get("resc.run", {})
+    return Source(path, specification, run, contents.attachments, contents.topics, contents.chunks, complete)
+
+
+def _ends_properly(file: IO[bytes]) -> bool:
+    size = file.seek(0, 2)
+    file.seek(max(0, size - len(MCAP0_MAGIC)))
+    return size > 2 * len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC
+
+
+def _index(file: IO[bytes]) -> _Contents:
+    """Contents of a complete file, from its summary."""
+    reader = make_reader(file)
+    summary = reader.get_summary()
+    contents = _Contents()
+    if summary is None:
+        return contents
+    contents.topics = {channel.topic: number for number, channel in summary.channels.items()}
+    contents.metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+    contents.attachments = {record.name: record.data for record in reader.iter_attachments()}
+    contents.chunks = [
+        ChunkRef(
+            frozenset(chunk.message_index_offsets),
+            chunk.message_start_time,
+            chunk.message_end_time,
+            chunk.chunk_start_offset,
+            chunk.chunk_length,
+            chunk.compressed_size,
+            chunk.compression,
+        )
+        for chunk in summary.chunk_indexes
+    ]
+    return contents
+
+
+def _recover(file: IO[bytes]) -> _Contents:
+    """Contents of a file without summary, record by record up to where it was cut."""
+    contents, chunk, end = _Contents(), None, 0
+    try:
+        for record in StreamReader(file, emit_chunks=True).records:
+            if isinstance(record, Metadata):
+                contents.metadata[record.name] = record.metadata
+            elif isinstance(record, Attachment):
+                contents.attachments[record.name] = record.data
+            elif isinstance(record, Chunk):
+                chunk, end = record, file.tell()
+                if not contents.topics:
+                    channels = [part for part in breakup_chunk(record) if isinstance(part, Channel)]
+                    contents.topics = {channel.topic: channel.id for channel in channels}
+            elif isinstance(record, MessageIndex) and chunk is not None:
+                # An index follows every chunk; a chunk without one was still being written.
+                contents.chunks.append(_reference(chunk, end, record.channel_id))
+                chunk = None
+    except (McapError, struct.error, UnicodeDecodeError):
+        pass  # the cut
+    return contents
+
+
+def _reference(chunk: Chunk, end: int, channel: int) -> ChunkRef:
+    length = _CHUNK_HEAD.size + 4 + len(chunk.compression) + 8 + len(chunk.data)
+    return ChunkRef(
+        frozenset([channel]),
+        chunk.message_start_time,
+        chunk.message_end_time,
+        end - length,
+        length,
+        len(chunk.data),
+        chunk.compression,
+    )

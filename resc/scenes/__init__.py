@@ -1,0 +1,1 @@
+"""Obstacle layouts and the pool that environments draw them from."""

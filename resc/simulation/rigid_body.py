@@ -1,0 +1,128 @@
+"""The rigid body, its rotors' lag and linear drag, integrated by RK4."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.math import rotation
+from resc.math.integrate import State, rk4
+from resc.simulation.vehicle import GRAVITY_MPS2
+from resc.term import Context, Term
+
+
+class RigidBody(Term):
+    """State after one control step [SI], the rotor commands held.
+
+    p'' = -g e3 + (sum f_i) b_z / m - k v ;  J w' = -w x J w + tau(f) ;  f' = (f_command - f) / T.
+    No gyroscopic rotor torque, ground effect or wind. The published set-up has T = 0 and k = 0 and two substeps of 10 ms
+    (facts 2.1, 2.5). Rotor lag is solved exactly between the RK4 stages, since T may be shorter than a substep.
+
+    Args:
+        substeps: RK4 steps per control step.
+        rotor_time_constant_s: T; zero makes the rotors instantaneous.
+        drag_1ps: k, linear drag per mass.
+    """
+
+    reads = (
+        keys.POSITION_W,
+        keys.VELOCITY_W,
+        keys.ATTITUDE_WB,
+        keys.BODY_RATE_B,
+        keys.ROTOR_THRUST,
+        keys.ROTOR_COMMAND,
+        keys.MASS,
+        keys.INERTIA_B,
+        keys.TORQUE_COEFFICIENT,
+        keys.ARM,
+        keys.THRUST_SCALE,
+    )
+    writes = (
+        keys.POSITION_W,
+        keys.VELOCITY_W,
+        keys.ATTITUDE_WB,
+        keys.BODY_RATE_B,
+        keys.ROTOR_THRUST,
+        keys.ACCELERATION_W,
+    )
+
+    def __init__(self, *, substeps: int = 2, rotor_time_constant_s: float = 0.0, drag_1ps: float = 0.0) -> None:
+        super().__init__()
+        if substeps < 1:
+            raise ConfigError(f"substeps is {substeps}; expected at least 1.")
+        if min(rotor_time_constant_s, drag_1ps) < 0:
+            raise ConfigError("rotor_time_constant_s and drag_1ps cannot be negative; zero switches them off.")
+        self.substeps = substeps
+        self.rotor_time_constant_s = rotor_time_constant_s
+        self.drag_1ps = drag_1ps
+        self.dt_s = 0.0
+
+    def bind(self, context: Context) -> None:
+        """Takes the control period."""
+        self.dt_s = context.dt_s
+
+    def compute(
+        self,
+        position: Float[Tensor, "n 3"],
+        velocity: Float[Tensor, "n 3"],
+        attitude: Float[Tensor, "n 4"],
+        body_rate: Float[Tensor, "n 3"],
+        thrust: Float[Tensor, "n 4"],
+        command: Float[Tensor, "n 4"],
+        mass: Float[Tensor, "n 1"],
+        inertia: Float[Tensor, "n 3"],
+        torque_coefficient: Float[Tensor, "n 1"],
+        arm: Float[Tensor, "n 3"],
+        thrust_scale: Float[Tensor, "n 1"],
+    ) -> tuple[Tensor, ...]:
+        step_s = self.dt_s / self.substeps
+        target = command * thrust_scale
+        start = velocity
+        for _ in range(self.substeps):
+            mean_thrust, thrust = self._rotors(thrust, target, step_s)
+            acceleration_b = mean_thrust.sum(-1, keepdim=True) / mass
+            torque = body_torque(mean_thrust, arm, torque_coefficient)
+
+            def derivative(state: State, a: Tensor = acceleration_b, tau: Tensor = torque) -> State:
+                _, v, q, w = state
+                gravity = torch.stack((torch.zeros_like(v[:, 0]), torch.zeros_like(v[:, 0]), v[:, 2] * 0 + GRAVITY_MPS2), -1)
+                linear = a * rotation.body_z_w(q) - gravity - self.drag_1ps * v
+                return v, linear, rotation.derivative(q, w), angular_acceleration(w, tau, inertia)
+
+            position, velocity, attitude, body_rate = rk4(derivative, (position, velocity, attitude, body_rate), step_s)
+            attitude = rotation.normalize(attitude)
+        return position, velocity, attitude, body_rate, thrust, (velocity - start) / self.dt_s
+
+    def _rotors(self, thrust: Tensor, target: Tensor, step_s: float) -> tuple[Tensor, Tensor]:
+        """Mean thrust over a substep and thrust at its end [N]: the exact solution of the first-order lag."""
+        constant = self.rotor_time_constant_s
+        if constant == 0:
+            return target, target
+        rest = -math.expm1(-step_s / constant)  # expm1: 1 - exp(-x) loses digits for short substeps
+        mean = target + (thrust - target) * (rest * constant / step_s)
+        return mean, thrust + (target - thrust) * rest
+
+
+def body_torque(
+    thrust: Float[Tensor, "n 4"], arm: Float[Tensor, "n 3"], torque_coefficient: Float[Tensor, "n 1"]
+) -> Float[Tensor, "n 3"]:
+    """Torque [N m] of the rotors FR, RR, RL, FL about the body axes (facts 2.1)."""
+    fr, rr, rl, fl = thrust.unbind(-1)
+    x, y_front, y_rear = arm.unbind(-1)
+    roll = y_front * (fl - fr) + y_rear * (rl - rr)
+    pitch = x * (rr + rl - fr - fl)
+    yaw = torque_coefficient[:, 0] * (rr + fl - fr - rl)
+    return torch.stack((roll, pitch, yaw), -1)
+
+
+def angular_acceleration(
+    body_rate: Float[Tensor, "n 3"], torque: Float[Tensor, "n 3"], inertia: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 3"]:
+    """Euler's equations for a diagonal inertia [rad/s^2]: (tau + (J_y - J_z) q r) / J_x and cyclic."""
+    p, q, r = body_rate.unbind(-1)
+    jx, jy, jz = inertia.unbind(-1)
+    gyro = torch.stack(((jy - jz) * q * r, (jz - jx) * r * p, (jx - jy) * p * q), -1)
+    return (torque + gyro) / inertia

@@ -1,0 +1,1 @@
+"""What a study swaps: one term a file, one YAML a term."""

@@ -1,0 +1,1 @@
+"""Actions terms, one a file."""

@@ -1,0 +1,1 @@
+"""Metrics terms, one a file."""

@@ -1,0 +1,1 @@
+"""Observations terms, one a file."""

@@ -1,0 +1,1 @@
+"""Randomizations terms, one a file."""

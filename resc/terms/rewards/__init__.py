@@ -1,0 +1,1 @@
+"""Rewards terms, one a file."""

@@ -1,0 +1,1 @@
+"""Sensors terms, one a file."""

@@ -1,0 +1,1 @@
+"""Tasks terms, one a file."""

@@ -1,0 +1,1 @@
+"""Terminations terms, one a file."""
