@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -135,16 +135,15 @@ class Randomization(Term):
 
 
 class Metric(Term):
-    """A running number per episode, [n, 1], for tables and pictures."""
+    """A running number per episode, [n, 1]: `compute(so_far, *reads)` gives its next value.
+
+    `start` is its value at the reset; it stands still once the route is finished, unless it says otherwise.
+    """
 
     group = "metric"
     unit: ClassVar[str] = "-"
-    at: ClassVar[Literal["end", "finish"]] = "end"
-
-    @property
-    def outputs(self) -> tuple[NestedKey, ...]:
-        """`(metric, name)` and its own memory."""
-        return ((self.group, self.name), *self.writes)
+    start: ClassVar[float] = 0.0
+    freezes_at_finish: ClassVar[bool] = True
 
 
 def uniform_between(unit: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor:

@@ -26,62 +26,75 @@ _DIAGONAL, _ANTIDIAGONAL = CORNER_PP | CORNER_NN, CORNER_PN | CORNER_NP
 @njit(cache=True)
 @no_type_check
 def build_table(blocked):
-    """Table [5, h, w + 1] of one map.
-
-    Unit cell (x, y) lies between the columns x, x + 1 and the rows y, y + 1; there are w - 1 in a row.  Where no wall, gap
-    or corner is left in a row the entry is the width.
-    """
+    """Table [5, h, w + 1] of one map; where a row has no wall or corner left, the entry is w."""
     height, width = blocked.shape
     table = np.empty((5, height, width + 1), np.int32)
+    table[CODE, :, width] = BLOCKED
+    table[NEXT_WALL : NEXT_CORNER + 1, :, width] = width
     corners = _corner_mask(blocked)
+    wall = np.zeros(width, np.bool_)
     for y in range(height):
-        wall, gap, corner = width, width, width
-        table[CODE, y, width] = BLOCKED
-        table[NEXT_WALL : NEXT_CORNER + 1, y, width] = width
-        for x in range(width - 1, -1, -1):
-            table[CODE, y, x] = corners[y, x] | (BLOCKED if blocked[y, x] else 0)
-            if corners[y, x]:
-                corner = x
-            if x + 1 < width and y + 1 < height:
-                here = blocked[y, x] or blocked[y, x + 1] or blocked[y + 1, x] or blocked[y + 1, x + 1]
-                wall, gap = (x, gap) if here else (wall, x)
-            table[NEXT_WALL, y, x] = wall
-            table[NEXT_GAP, y, x] = gap
-            table[NEXT_CORNER, y, x] = corner
-    _label(table)
+        # The last row has no unit cells above it; its entries are never read.
+        here, above, corner = blocked[y], blocked[min(y + 1, height - 1)], corners[y]
+        for x in range(width):
+            table[CODE, y, x] = corner[x] + BLOCKED * here[x]
+        for x in range(width - 1):
+            wall[x] = here[x] | here[x + 1] | above[x] | above[x + 1]
+        _index_row(wall, corner, table[NEXT_WALL, y], table[NEXT_GAP, y], table[NEXT_CORNER, y])
+    _label(blocked, table[LABEL])
     return table
 
 
 @njit(cache=True)
 @no_type_check
-def _label(table):
-    """Fill LABEL: two free cells have the same label if and only if steps along rows and columns join them."""
-    _, height, width = table.shape
-    root = np.arange(height * width, dtype=np.int32)
-    for y in range(height):
-        for x in range(width):
-            cell = y * width + x
-            if table[CODE, y, x] & BLOCKED:
-                continue
-            left = x > 0 and not table[CODE, y, x - 1] & BLOCKED
-            below = y > 0 and not table[CODE, y - 1, x] & BLOCKED
-            if left:
-                root[cell] = root[cell - 1]
-            if below and not (left and not table[CODE, y - 1, x - 1] & BLOCKED):
-                a, b = _find(root, cell), _find(root, cell - width)
-                root[max(a, b)] = min(a, b)
-    for y in range(height):
-        for x in range(width):
-            table[LABEL, y, x] = _find(root, y * width + x)
+def _index_row(wall, corner, next_wall, next_gap, next_corner):
+    width = len(wall)
+    at_wall, at_gap, at_corner = width, width, width
+    for n in range(width):
+        x = width - 1 - n
+        at_wall = x if wall[x] else at_wall
+        at_gap = at_gap if wall[x] else x
+        at_corner = x if corner[x] else at_corner
+        next_wall[x], next_gap[x], next_corner[x] = at_wall, at_gap, at_corner
 
 
 @njit(cache=True)
 @no_type_check
-def _find(root, cell):
-    while root[cell] != cell:
-        root[cell] = root[root[cell]]
-        cell = root[cell]
-    return cell
+def _label(blocked, label):
+    """Number the cells so that two free ones share a number if and only if steps along rows and columns join them."""
+    height, width = blocked.shape
+    root = np.arange(height * ((width + 1) // 2))  # of each run of free cells in a row
+    runs = 0
+    for y in range(height):
+        run = -1
+        for x in range(width):
+            if blocked[y, x]:
+                run = -1
+            elif run < 0:
+                run, runs = runs, runs + 1
+            label[y, x] = run
+            # Once for each pair of runs that touch: where one of the two begins.
+            if y > 0 and run >= 0 and label[y - 1, x] >= 0:
+                begins = x == 0 or label[y, x - 1] != run or label[y - 1, x - 1] != label[y - 1, x]
+                if begins:
+                    _join(root, run, label[y - 1, x])
+    for run in range(runs):
+        root[run] = root[root[run]]  # a root is never larger than its runs, so it is final by now
+    for y in range(height):
+        for x in range(width):
+            label[y, x] = root[label[y, x]] if label[y, x] >= 0 else -1
+
+
+@njit(cache=True)
+@no_type_check
+def _join(root, a, b):
+    while root[a] != a:
+        root[a] = root[root[a]]
+        a = root[a]
+    while root[b] != b:
+        root[b] = root[root[b]]
+        b = root[b]
+    root[max(a, b)] = min(a, b)
 
 
 @njit(cache=True)
@@ -113,73 +126,99 @@ def scan_axis(table, x, y, step_x, step_y, found, count):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def scan_cone(table, x, y, step, cone, stack, found, count):
     """Append the corners in a closed cone of directions on one side (step = +-1) of row y, the axes left out.
 
-    `cone` is (u, w) of its left edge and (u, w) of its right edge.  A corner counts only where a line from (x, y) passes
-    beside its obstacle: a line into or out of the obstacle's own quadrant cannot be part of a shortest path.
+    `cone` is (u, w) of its left edge and (u, w) of its right edge.
     """
-    _, height, width = table.shape
-    width -= 1
-    stack[0, 0] = 1
-    stack[0, 1], stack[0, 2], stack[0, 3], stack[0, 4] = cone
-    top = 1
+    height, width = table.shape[1], table.shape[2] - 1
+    top = _push(stack, 0, 0, cone[0], cone[1], cone[2], cone[3])
     while top:
         top -= 1
         k, lu, lw, ru, rw = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4]
         row = y + step * k
-        if row < 0 or row >= height:
-            continue
-        strip = min(row, row - step)
-        # Unit cells low .. high - 1 of the strip touch the cone.
-        low = 0 if lw == 0 else max(0, x + (lu * (k if lu < 0 else k - 1)) // lw)
-        high = width - 1 if rw == 0 else min(width - 1, x - (-ru * (k if ru > 0 else k - 1)) // rw)
-        if low >= width or high < 0:
-            continue
-        wall = table[NEXT_WALL, strip, low]
-        while wall < high:
-            # A run of walls hides the open range of directions between two of its corners.
-            left, gap = wall - x, table[NEXT_GAP, strip, wall]
-            run_end = min(gap, width - 1)
-            left_w = k if left >= 0 else k - 1
-            if lu * left_w < left * lw:
-                count = _corners_between(table, x, y, row, (lu, lw, left, left_w), found, count)
-                top = _push(stack, top, k + 1, (lu, lw, left, left_w))
-            lu = run_end - x
-            lw = k - 1 if lu > 0 else k
-            if lu * rw >= ru * lw:
+        left, first = _left_edge(x, k, lu, lw)
+        right, last = _right_edge(x, k, ru, rw, width)
+        while left < width and right >= 0:
+            if k:
+                count = _corners_between(table, x, row, step, max(0, first), min(width - 1, last), found, count)
+            strip = row if step > 0 else row - 1
+            row, k = row + step, k + 1
+            if row < 0 or row >= height:
                 break
-            wall = table[NEXT_WALL, strip, run_end]
-        else:
-            count = _corners_between(table, x, y, row, (lu, lw, ru, rw), found, count)
-            top = _push(stack, top, k + 1, (lu, lw, ru, rw))
+            left_before, right_before = left, right
+            left, first = _left_edge(x, k, lu, lw)
+            right, last = _right_edge(x, k, ru, rw, width)
+            wall = table[NEXT_WALL, strip, max(0, min(left, left_before))]
+            high = min(width - 1, max(right, right_before))
+            if wall < high:
+                top = _cut(table, x, strip, k, (lu, lw, ru, rw), wall, high, stack, top)
+                break
     return count
 
 
 @njit(cache=True)
 @no_type_check
-def _push(stack, top, k, cone):
-    stack[top, 0] = k
-    stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4] = cone
-    return top + 1
+def _cut(table, x, strip, k, cone, wall, high, stack, top):
+    """Push what the walls of one strip leave of a cone; the strip ends at row k, its first wall is given."""
+    lu, lw, ru, rw = cone
+    while wall < high:
+        # A run of walls hides the directions strictly between two of its corners.
+        u, end = wall - x, table[NEXT_GAP, strip, wall]
+        w = k if u >= 0 else k - 1
+        if lu * w < u * lw:
+            top = _push(stack, top, k, lu, lw, u, w)
+        lu = end - x
+        lw = k - 1 if lu > 0 else k
+        if lu * rw >= ru * lw:
+            return top
+        wall = table[NEXT_WALL, strip, end]
+    return _push(stack, top, k, lu, lw, ru, rw)
 
 
 @njit(cache=True)
 @no_type_check
-def _corners_between(table, x, y, row, cone, found, count):
-    """Append the useful corners of one row between the two edges of a cone, edges included."""
-    lu, lw, ru, rw = cone
-    width = table.shape[2] - 1
-    k = abs(row - y)
-    low = 0 if lw == 0 else max(0, x - (-lu * k) // lw)
-    high = width - 1 if rw == 0 else min(width - 1, x + (ru * k) // rw)
-    if low > high:
+def _push(stack, top, k, lu, lw, ru, rw):
+    stack[top, 0] = k
+    stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4] = lu, lw, ru, rw
+    return top + 1
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _left_edge(x, k, u, w):
+    """Columns next to where the left edge of a cone crosses row k: outside the cone, and inside."""
+    if w == 0:
+        return (0, 0) if k else (x, x)
+    column = (u * k) // w
+    return x + column, x + column + (column * w != u * k)
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _right_edge(x, k, u, w, width):
+    """Columns next to where the right edge of a cone crosses row k: outside the cone, and inside."""
+    if w == 0:
+        return (width - 1, width - 1) if k else (x, x)
+    column = (u * k) // w
+    return x + column + (column * w != u * k), x + column
+
+
+@njit(cache=True)
+@no_type_check
+def _corners_between(table, x, row, step, first, last, found, count):
+    """Append the useful corners of a row from column `first` to `last`.
+
+    A corner is useful where a line from the scan's origin passes beside its obstacle; a line into or out of the obstacle's own
+    quadrant is no part of a shortest path.
+    """
+    if first > last:
         return count
-    at = table[NEXT_CORNER, row, low]
-    while at <= high:
-        useful = _ANTIDIAGONAL if (at > x) == (row > y) else _DIAGONAL
+    at = table[NEXT_CORNER, row, first]
+    while at <= last:
+        useful = _ANTIDIAGONAL if (at > x) == (step > 0) else _DIAGONAL
         if at != x and table[CODE, row, at] & useful:
             found[count, 0], found[count, 1] = at, row
             count += 1

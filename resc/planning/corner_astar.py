@@ -49,25 +49,32 @@ def workspace(cells: int, heap: int) -> tuple[np.ndarray, ...]:
 
 @njit(cache=True)
 @no_type_check
-def find_path(blocked, table, start, goal, limit, query, work):
-    """Status, number of points, length, expansions; the points are left in the workspace, all in cells.
+def find_path(blocked, table, start, goal, frame, limit, query, work):
+    """Status, number of points, length [m] and expansions; the points [m] are left in the workspace.
 
-    `start` and `goal` are (u, v, x, y): exact point and cell.
+    `start` and `goal` are (x_m, y_m, column, row); `frame` is the centre of cell (0, 0) and the size of a cell [m].
     """
-    mark, parent, cost, key, entry, stack, found, points = work
-    su, sv, sx, sy = start
-    gu, gv, gx, gy = goal
+    _, parent, _, _, _, _, _, points = work
+    start_x, start_y, sx, sy = start
+    goal_x, goal_y, gx, gy = goal
+    x0, y0, size = frame
     if table[LABEL, sy, sx] != table[LABEL, gy, gx]:
         return UNREACHABLE, 0, inf, 0
     status, expansions = _search(blocked, table, (sx, sy), (gx, gy), limit, query, work)
     if status != FOUND:
         return status, 0, inf, expansions
     count = _trace(parent, blocked.shape[1], sx, sy, gx, gy, points)
-    count = _join_ends(blocked, points, count, su, sv, gu, gv)
+    points[0] = (start_x - x0) / size, (start_y - y0) / size
+    points[count + 1] = (goal_x - x0) / size, (goal_y - y0) / size
+    count = _join_ends(blocked, points, count)
     length = 0.0
     for n in range(1, count):
         length += hypot(points[n, 0] - points[n - 1, 0], points[n, 1] - points[n - 1, 1])
-    return FOUND, count, length, expansions
+    for n in range(1, count - 1):
+        points[n, 0], points[n, 1] = x0 + size * points[n, 0], y0 + size * points[n, 1]
+    points[0] = start_x, start_y
+    points[count - 1] = goal_x, goal_y
+    return FOUND, count, size * length, expansions
 
 
 @njit(cache=True)
@@ -181,10 +188,8 @@ def _trace(parent, width, sx, sy, gx, gy, points):
 
 @njit(cache=True)
 @no_type_check
-def _join_ends(blocked, points, count, su, sv, gu, gv):
-    """Put the exact ends round turning points 1 .. count, without the cell centres that these make needless."""
-    points[0, 0], points[0, 1] = su, sv
-    points[count + 1, 0], points[count + 1, 1] = gu, gv
+def _join_ends(blocked, points, count):
+    """Drop the centres of the end cells, rows 1 and `count`, where the exact ends around them make them needless."""
     if count == 1:  # both ends in one cell
         points[1] = points[2]
         return 2

@@ -7,7 +7,7 @@ goal is closed with its true cost; the search ends only when nothing open can be
 each corner, only the cone in which a shortest path can go on.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor, inf
 from typing import Literal, NamedTuple
 
@@ -19,7 +19,9 @@ from resc.planning.cone_scan import build_table
 from resc.planning.corner_astar import HEAP_FULL, find_path, workspace
 from resc.planning.grid import inflate, line_is_free
 
+Cell = tuple[int, int]
 Point = tuple[float, float]
+Frame = tuple[float, float, float]  # centre of cell (0, 0) and size of a cell [m]
 
 _STATUS = ("found", "unreachable", "budget")  # in the order of corner_astar's codes
 
@@ -45,12 +47,12 @@ class PlannedPath:
 
 
 class _End(NamedTuple):
-    """One end of a path: the exact point in cells (cell centres are whole numbers) and its cell."""
+    """One end of a path: the exact point [m] and its cell."""
 
-    u: float
-    v: float
-    x: int
-    y: int
+    x_m: float
+    y_m: float
+    column: int
+    row: int
 
 
 class VisibilitySearch:
@@ -87,54 +89,49 @@ class VisibilitySearch:
         straight to the next corner if that line is free.  A point within the clearance of an obstacle is first led to the
         nearest free cell, and the path is flagged as snapped.
         """
+        half_m = 0.5 * self.resolution_m
+        frame = (origin_xy_m[0] + half_m, origin_xy_m[1] + half_m, self.resolution_m)
+        start = self._locate(prepared, "Start", start_xy_m, frame)
+        goal = self._locate(prepared, "Goal", goal_xy_m, frame)
         blocked = prepared.blocked
-        start = self._locate(prepared, "Start", start_xy_m, origin_xy_m)
-        goal = self._locate(prepared, "Goal", goal_xy_m, origin_xy_m)
-        snapped = bool(blocked[start.y, start.x] or blocked[goal.y, goal.x])
-        solve = self._solve_from_inside if snapped else self._solve
-        status, length, expansions, points = solve(prepared, start, goal)
-        if status != "found":
-            return PlannedPath(np.empty((0, 2)), inf, expansions, status, snapped)
-        half = 0.5 * self.resolution_m
-        points *= self.resolution_m
-        points += (origin_xy_m[0] + half, origin_xy_m[1] + half)
-        points[0], points[-1] = start_xy_m, goal_xy_m
-        return PlannedPath(points, length * self.resolution_m, expansions, status, snapped)
+        if blocked[start.row, start.column] or blocked[goal.row, goal.column]:
+            return self._solve_from_inside(prepared, start, goal, frame)
+        return self._solve(prepared, start, goal, frame)
 
-    def _locate(self, prepared: PreparedMap, name: str, point_m: Point, origin_m: Point) -> _End:
-        resolution_m = self.resolution_m
+    def _locate(self, prepared: PreparedMap, name: str, point_m: Point, frame: Frame) -> _End:
+        """The point and its cell, once it is known to lie in an unoccupied cell of the map."""
+        x_m, y_m = float(point_m[0]), float(point_m[1])
         height, width = prepared.occupancy.shape
-        u = (float(point_m[0]) - origin_m[0]) / resolution_m
-        v = (float(point_m[1]) - origin_m[1]) / resolution_m
-        if not (0.0 <= u < width and 0.0 <= v < height):
-            right, top = origin_m[0] + width * resolution_m, origin_m[1] + height * resolution_m
-            raise PlanningError(
-                f"{name} ({point_m[0]:g}, {point_m[1]:g}) m is outside the map, which covers "
-                f"x {origin_m[0]:g} .. {right:g} m and y {origin_m[1]:g} .. {top:g} m; choose a point inside it."
-            )
         # The guard keeps 0.3 m / 0.1 m, which is a little below 3, in cell 3.
-        x, y = min(floor(u + 1e-9), width - 1), min(floor(v + 1e-9), height - 1)
-        if prepared.occupancy[y, x]:
+        column = floor((x_m - frame[0]) / frame[2] + 0.5 + 1e-9)
+        row = floor((y_m - frame[1]) / frame[2] + 0.5 + 1e-9)
+        if not (0 <= column < width and 0 <= row < height):
+            x0, y0 = frame[0] - 0.5 * frame[2], frame[1] - 0.5 * frame[2]
             raise PlanningError(
-                f"{name} ({point_m[0]:g}, {point_m[1]:g}) m is inside an obstacle, in column {x} of row {y}; "
+                f"{name} ({x_m:g}, {y_m:g}) m is outside the map, which covers x {x0:g} .. {x0 + width * frame[2]:g} m "
+                f"and y {y0:g} .. {y0 + height * frame[2]:g} m; choose a point inside it."
+            )
+        if prepared.occupancy[row, column]:
+            raise PlanningError(
+                f"{name} ({x_m:g}, {y_m:g}) m is inside an obstacle, in column {column} of row {row}; "
                 "choose a point in free space."
             )
-        return _End(u - 0.5, v - 0.5, x, y)
+        return _End(x_m, y_m, column, row)
 
     def _solve(
-        self, prepared: PreparedMap, start: _End, goal: _End
-    ) -> tuple[str, float, int, np.ndarray]:
-        """Status, length, expansions and points, in cells."""
+        self, prepared: PreparedMap, start: _End, goal: _End, frame: Frame, snapped: bool = False
+    ) -> PlannedPath:
         cells = prepared.blocked.size
         if cells > self._cells:
             self._reserve(cells, heap=cells + 64)
         while True:
             self._query += 1
-            code, count, length, expansions = find_path(
-                prepared.blocked, prepared.table, start, goal, self.max_expansions, self._query, self._workspace
+            code, count, length_m, expansions = find_path(
+                prepared.blocked, prepared.table, tuple(start), tuple(goal), frame, self.max_expansions, self._query, self._workspace
             )
             if code != HEAP_FULL:
-                return _STATUS[code], length, expansions, self._workspace[-1][:count].copy()
+                points_m = self._workspace[-1][:count].copy()
+                return PlannedPath(points_m, length_m, expansions, _STATUS[code], snapped)
             self._reserve(self._cells, heap=2 * self._heap)
 
     def _reserve(self, cells: int, heap: int) -> None:
@@ -142,43 +139,50 @@ class VisibilitySearch:
         self._workspace = workspace(cells, heap)
 
     def _solve_from_inside(
-        self, prepared: PreparedMap, start: _End, goal: _End
-    ) -> tuple[str, float, int, np.ndarray]:
+        self, prepared: PreparedMap, start: _End, goal: _End, frame: Frame
+    ) -> PlannedPath:
         """`_solve` between the nearest free cells, with the ways to them added at both ends."""
-        before, after = _way_to_free(prepared, start), _way_to_free(prepared, goal)
+        before = _way_to_free(prepared, start, frame)
+        after = _way_to_free(prepared, goal, frame)
         if before is None or after is None:
-            return "unreachable", inf, 0, np.empty((0, 2))
-        status, _, expansions, middle = self._solve(prepared, before[-1], after[-1])
-        points = np.array(
-            [end[:2] for end in before[:-1]] + middle.tolist() + [end[:2] for end in after[-2::-1]]
-        )
-        length = float(np.hypot(*np.diff(points, axis=0).T).sum())
-        return status, length, expansions, points
+            return PlannedPath(np.empty((0, 2)), inf, 0, "unreachable", snapped=True)
+        path = self._solve(prepared, before[-1], after[-1], frame, snapped=True)
+        if path.status != "found":
+            return path
+        ends = [end[:2] for end in before[:-1]], [end[:2] for end in after[-2::-1]]
+        points_m = np.array([*ends[0], *path.points_m, *ends[1]])
+        length_m = float(np.hypot(*np.diff(points_m, axis=0).T).sum())
+        return replace(path, points_m=points_m, length_m=length_m)
 
 
-def _way_to_free(prepared: PreparedMap, end: _End) -> list[_End] | None:
-    """From `end` to the nearest cell that is free, through cells that are not occupied; None if there is none.
+def _way_to_free(prepared: PreparedMap, end: _End, frame: Frame) -> list[_End] | None:
+    """From `end` to the nearest free cell, through cells that are not occupied; None if there is none.
 
     Nearest by steps along rows and columns, so that the way never leads through a wall; then straightened.
     """
     occupancy, blocked = prepared.occupancy, prepared.blocked
     height, width = blocked.shape
-    came_from: dict[tuple[int, int], tuple[int, int] | None] = {(end.x, end.y): None}
-    front = [(end.x, end.y)]
+    came_from: dict[Cell, Cell | None] = {(end.column, end.row): None}
+    front = [(end.column, end.row)]
     while front and all(blocked[y, x] for x, y in front):
         reached = []
         for x, y in front:
-            for nx, ny in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
-                inside = 0 <= nx < width and 0 <= ny < height
-                if inside and (nx, ny) not in came_from and not occupancy[ny, nx]:
-                    came_from[nx, ny] = (x, y)
-                    reached.append((nx, ny))
+            for near in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
+                inside = 0 <= near[0] < width and 0 <= near[1] < height
+                if inside and near not in came_from and not occupancy[near[1], near[0]]:
+                    came_from[near] = (x, y)
+                    reached.append(near)
         front = reached
-    free = [(x, y) for x, y in front if not blocked[y, x]]
+
+    def centre(x: int, y: int) -> _End:
+        return _End(frame[0] + frame[2] * x, frame[1] + frame[2] * y, x, y)
+
+    free = [centre(x, y) for x, y in front if not blocked[y, x]]
     if not free:
         return None
-    cell = min(free, key=lambda c: (c[0] - end.u) ** 2 + (c[1] - end.v) ** 2)
-    cells = []
+    nearest = min(free, key=lambda c: (c.x_m - end.x_m) ** 2 + (c.y_m - end.y_m) ** 2)
+    cells: list[Cell] = []
+    cell: Cell | None = nearest[2:]
     while cell is not None:
         cells.append(cell)
         cell = came_from[cell]
@@ -186,5 +190,5 @@ def _way_to_free(prepared: PreparedMap, end: _End) -> list[_End] | None:
     way, at = [end], 0
     while at < len(cells) - 1:
         at = max(n for n in range(at + 1, len(cells)) if line_is_free(occupancy, cells[at], cells[n]))
-        way.append(_End(*cells[at], *cells[at]))
+        way.append(centre(*cells[at]))
     return way

@@ -1,10 +1,9 @@
-"""What a recording holds: its columns, the protobuf schemas built from them, and the description stored in every file."""
+"""What a recording holds: its columns, and the protobuf schemas built from them."""
 
-import json
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,39 +15,55 @@ from google.protobuf.descriptor_pb2 import (
     FileDescriptorSet,
 )
 
-from resc.errors import ConfigError, RecordingError
-
-FORMAT = "1"
-"""Version of the file layout; a reader refuses any other."""
+from resc.errors import ConfigError
 
 ROLLOUT, EPISODES, WORLD = "/rollout", "/episodes", "/world"
 SCHEMA_NAMES = {ROLLOUT: "resc.RolloutFragment", EPISODES: "resc.Episode", WORLD: "resc.World"}
 
 _Field = FieldDescriptorProto
-# Fixed-width types only: a packed repeated field is then a little-endian array that numpy copies as it is.
+# Fixed-width types only: a packed repeated field is then a little-endian array, as numpy has it.
 _TYPES: dict[torch.dtype, tuple[str, int]] = {
     torch.float32: ("<f4", _Field.TYPE_FLOAT),
     torch.bool: ("?", _Field.TYPE_BOOL),
     torch.int32: ("<i4", _Field.TYPE_SFIXED32),
     torch.uint32: ("<u4", _Field.TYPE_FIXED32),
 }
-_DTYPE_NAMES = {str(dtype).removeprefix("torch."): dtype for dtype in _TYPES}
-# A lower-case first letter keeps a field's name apart from the name of the message nested under it.
+DTYPE_NAMES = {str(dtype).removeprefix("torch."): dtype for dtype in _TYPES}
+
+FIELDS: dict[str, dict[str, int]] = {
+    ROLLOUT: {
+        "env_id": _Field.TYPE_FIXED32,
+        "batch": _Field.TYPE_FIXED32,
+        "start_step": _Field.TYPE_FIXED64,
+    },
+    EPISODES: {
+        "env_id": _Field.TYPE_FIXED32,
+        "episode": _Field.TYPE_FIXED32,
+        "start_step": _Field.TYPE_FIXED64,
+        "end_step": _Field.TYPE_FIXED64,
+        "length": _Field.TYPE_FIXED32,
+        "scene": _Field.TYPE_FIXED32,
+        "return_": _Field.TYPE_FLOAT,
+        "success": _Field.TYPE_BOOL,
+        "outcome": _Field.TYPE_STRING,
+    },
+    WORLD: {"start_step": _Field.TYPE_FIXED64},
+}
+"""Scalar fields of each message, numbered from 1; fragments and worlds go on with arrays."""
+EPISODE_KEYS = tuple(FIELDS[EPISODES])
+WORLD_FIELDS = dict(zip(_TYPES, ("floats", "bools", "ints", "uints"), strict=True))
+"""Field of `resc.World.Array` for each type, numbered from 3."""
+
+# A lower-case first letter keeps a field apart from the message type nested under its name.
 _NAME = re.compile(r"[a-z][A-Za-z0-9_]*")
-
-
-def require(fine: bool, name: str, value: object, expected: str) -> None:
-    """Refuse a recorder argument unless `fine`."""
-    if not fine:
-        raise ConfigError(f"recorder.{name} is {value!r}; expected {expected}.")
 
 
 @dataclass(frozen=True)
 class Column:
-    """One leaf `[T, N, *shape]` of the recorded TensorDict, and the names under which viewers plot its components.
+    """One leaf `[T, N, *shape]` of the recorded TensorDict, and the plot names of its components.
 
-    `components` are in the row-major order of `shape`; a scalar has none. Without `shape` a leaf has one trailing axis as
-    long as its components, and a scalar is `[T, N, 1]`.
+    `components` are in the row-major order of `shape`; a scalar has none. Without `shape` a leaf
+    has one trailing axis as long as its components, and a scalar is `[T, N, 1]`.
     """
 
     key: tuple[str, ...]
@@ -62,20 +77,19 @@ class Column:
         width = max(1, len(self.components))
         shape = (width,) if self.shape is None else tuple(self.shape)
         object.__setattr__(self, "shape", shape)
-        if self.dtype not in _TYPES:
-            raise ConfigError(
-                f"Recorded column {self.key} has dtype {self.dtype}; expected one of {', '.join(_DTYPE_NAMES)}."
-            )
-        if math.prod(shape) != width:
-            raise ConfigError(
-                f"Recorded column {self.key} names {width} component(s) for shape {shape}; name one for each value."
-            )
+        known, plain = (
+            ", ".join(DTYPE_NAMES),
+            "a lower-case letter, then letters, digits, underscores",
+        )
+        self._require(self.dtype in _TYPES, f"has dtype {self.dtype}; expected one of {known}")
+        names = f"names {width} component(s) for shape {shape}; name one for each value"
+        self._require(math.prod(shape) == width, names)
         for name in (*self.key, *self.components):
-            if not _NAME.fullmatch(name):
-                raise ConfigError(
-                    f"Recorded column {self.key} holds the name '{name}'; "
-                    "use a lower-case letter followed by letters, digits and underscores."
-                )
+            self._require(bool(_NAME.fullmatch(name)), f"holds the name '{name}'; use {plain}")
+
+    def _require(self, fine: bool, complaint: str) -> None:
+        if not fine:
+            raise ConfigError(f"Recorded column {self.key} {complaint}.")
 
     @property
     def width(self) -> int:
@@ -83,9 +97,14 @@ class Column:
         return max(1, len(self.components))
 
     @property
+    def dtype_name(self) -> str:
+        """Name of the type without its library, such as `float32`."""
+        return str(self.dtype).removeprefix("torch.")
+
+    @property
     def numpy_dtype(self) -> np.dtype:
         """Type of one value on the wire."""
-        return np.dtype(_TYPES[self.dtype][0])
+        return numpy_type(self.dtype)
 
 
 class Leaf(NamedTuple):
@@ -99,25 +118,27 @@ Tree = dict[str, "Tree | Leaf"]
 
 
 def column_tree(columns: Sequence[Column]) -> Tree:
-    """Nested names of all columns, ending in leaves: the structure of one fragment message after its header."""
+    """Nested names of all columns, ending in leaves: what follows the header of a fragment."""
     root: Tree = {}
     for index, column in enumerate(columns):
-        node = root
+        leaves: Tree = {name: Leaf(index, j) for j, name in enumerate(column.components)}
+        node: Tree | Leaf = root
         for part in column.key[:-1]:
-            node = node.setdefault(part, {})
-            if isinstance(node, Leaf):
-                raise ConfigError(f"Recorded column {column.key} lies inside another column; record one of the two.")
+            node = node.setdefault(part, {}) if isinstance(node, dict) else node
         last = column.key[-1]
-        if last in node or (node is root and last in ("env_id", "batch", "start_step")):
-            raise ConfigError(f"Recorded column {column.key} appears twice or hides a header field; rename or drop it.")
-        leaves = {name: Leaf(index, j) for j, name in enumerate(column.components)}
-        if len(leaves) != len(column.components):
-            raise ConfigError(f"Recorded column {column.key} names a component twice; give each its own name.")
+        hidden = len(column.key) == 1 and last in FIELDS[ROLLOUT]
+        if isinstance(node, Leaf) or last in node or hidden or len(leaves) < len(column.components):
+            raise ConfigError(
+                f"Recorded column {column.key} clashes with a column before it, a header field "
+                f"({', '.join(FIELDS[ROLLOUT])}) or itself; give each its own name."
+            )
         node[last] = leaves or Leaf(index, 0)
     return root
 
 
-def _add_field(message: DescriptorProto, name: str, kind: int, repeated: bool = False) -> FieldDescriptorProto:
+def _add_field(
+    message: DescriptorProto, name: str, kind: int, repeated: bool = False
+) -> FieldDescriptorProto:
     # json_name: without it tools print camelCase names that no key of ours has.
     label = _Field.LABEL_REPEATED if repeated else _Field.LABEL_OPTIONAL
     number = len(message.field) + 1
@@ -135,93 +156,26 @@ def _add_tree(message: DescriptorProto, tree: Tree, columns: Sequence[Column], s
             _add_tree(nested, child, columns, field.type_name)
 
 
-def _descriptor_set(file_name: str, message: DescriptorProto) -> bytes:
-    file = FileDescriptorProto(name=file_name, package="resc", syntax="proto3", message_type=[message])
+def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
+    """Serialised `FileDescriptorSet` of a topic's messages, all that other readers need."""
+    message = DescriptorProto(name=SCHEMA_NAMES[topic].removeprefix("resc."))
+    for name, kind in FIELDS[topic].items():
+        _add_field(message, name, kind)
+    if topic == ROLLOUT:
+        _add_tree(message, column_tree(columns), columns, f".{SCHEMA_NAMES[ROLLOUT]}")
+    elif topic == WORLD:
+        field = _add_field(message, "arrays", _Field.TYPE_MESSAGE, repeated=True)
+        array = message.nested_type.add(name="Array")
+        field.type_name = f".{SCHEMA_NAMES[WORLD]}.{array.name}"
+        _add_field(array, "name", _Field.TYPE_STRING)
+        _add_field(array, "shape", _Field.TYPE_FIXED32, repeated=True)
+        for dtype, name in WORLD_FIELDS.items():
+            _add_field(array, name, _TYPES[dtype][1], repeated=True)
+    name = f"resc/{topic.removeprefix('/')}.proto"
+    file = FileDescriptorProto(name=name, package="resc", syntax="proto3", message_type=[message])
     return FileDescriptorSet(file=[file]).SerializeToString()
 
 
-def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
-    """Serialised `FileDescriptorSet` of the messages on a topic; third-party readers decode with nothing else."""
-    message = DescriptorProto(name=SCHEMA_NAMES[topic].removeprefix("resc."))
-    if topic == ROLLOUT:
-        _add_field(message, "env_id", _Field.TYPE_FIXED32)
-        _add_field(message, "batch", _Field.TYPE_FIXED32)
-        _add_field(message, "start_step", _Field.TYPE_FIXED64)
-        _add_tree(message, column_tree(columns), columns, f".{SCHEMA_NAMES[ROLLOUT]}")
-    elif topic == EPISODES:
-        for name in ("env_id", "episode"):
-            _add_field(message, name, _Field.TYPE_FIXED32)
-        for name in ("start_step", "end_step"):
-            _add_field(message, name, _Field.TYPE_FIXED64)
-        for name in ("length", "scene"):
-            _add_field(message, name, _Field.TYPE_FIXED32)
-        _add_field(message, "return_", _Field.TYPE_FLOAT)
-        _add_field(message, "success", _Field.TYPE_BOOL)
-        _add_field(message, "outcome", _Field.TYPE_STRING)
-    else:
-        _add_field(message, "start_step", _Field.TYPE_FIXED64)
-        array = message.nested_type.add(name="Array")
-        _add_field(message, "arrays", _Field.TYPE_MESSAGE, repeated=True).type_name = ".resc.World.Array"
-        _add_field(array, "name", _Field.TYPE_STRING)
-        _add_field(array, "shape", _Field.TYPE_FIXED32, repeated=True)
-        for name, kind in (("floats", _Field.TYPE_FLOAT), ("bools", _Field.TYPE_BOOL)):
-            _add_field(array, name, kind, repeated=True)
-        for name, kind in (("ints", _Field.TYPE_SFIXED32), ("uints", _Field.TYPE_FIXED32)):
-            _add_field(array, name, kind, repeated=True)
-    return _descriptor_set(f"resc/{topic[1:]}.proto", message)
-
-
-@dataclass(frozen=True)
-class Specification:
-    """Everything a reader must know to decode a file; stored as the metadata record `resc.spec`."""
-
-    columns: tuple[Column, ...]
-    num_envs: int
-    dt_s: float
-    outcomes: tuple[str, ...]
-    round_bits: int | None
-    every_n_batches: int
-    session: str
-    """One recorder's files share it; steps of different sessions are never joined into one episode."""
-
-    def __post_init__(self) -> None:
-        column_tree(self.columns)
-        require(len(self.columns) > 0, "columns", self.columns, "at least one")
-        require(self.round_bits is None or 1 <= self.round_bits <= 22, "round_bits", self.round_bits, "1 to 22, or null")
-        require(self.every_n_batches >= 1, "every_n_batches", self.every_n_batches, "1 or more")
-        require(self.dt_s > 0, "dt_s", self.dt_s, "a positive time")
-        # Times stay unique as long as the environment numbers fit into one control step.
-        require(1 <= self.num_envs <= self.dt_ns, "num_envs", self.num_envs, f"1 to dt_s in nanoseconds ({self.dt_ns})")
-
-    @property
-    def dt_ns(self) -> int:
-        """Control step in nanoseconds; log_time = start_step * dt_ns + env_id."""
-        return round(self.dt_s * 1e9)
-
-    def to_metadata(self) -> dict[str, str]:
-        """The flat strings of an MCAP metadata record, each value JSON."""
-        columns = [asdict(column) | {"dtype": str(column.dtype).removeprefix("torch.")} for column in self.columns]
-        values = {name: getattr(self, name) for name in self.__dataclass_fields__} | {"columns": columns}
-        return {"format": FORMAT} | {name: json.dumps(value) for name, value in values.items()}
-
-    @classmethod
-    def from_metadata(cls, metadata: dict[str, str], origin: str) -> "Specification":
-        """The specification in a metadata record of the file `origin`."""
-        if metadata.get("format") != FORMAT:
-            raise RecordingError(
-                f"{origin} has recording format {metadata.get('format')}, and this version of RESC reads format {FORMAT}. "
-                "Read it with the version of RESC that wrote it (metadata resc.run)."
-            )
-        values = {name: json.loads(metadata[name]) for name in cls.__dataclass_fields__}
-        values["columns"] = tuple(
-            Column(**{
-                **column,
-                "key": tuple(column["key"]),
-                "components": tuple(column["components"]),
-                "dtype": _DTYPE_NAMES[column["dtype"]],
-                "shape": tuple(column["shape"]),
-            })
-            for column in values["columns"]
-        )  # fmt: skip
-        values["outcomes"] = tuple(values["outcomes"])
-        return cls(**values)
+def numpy_type(dtype: torch.dtype) -> np.dtype:
+    """Type of one value on the wire."""
+    return np.dtype(_TYPES[dtype][0])

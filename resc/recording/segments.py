@@ -2,22 +2,30 @@
 
 import contextlib
 import logging
+import math
 import mimetypes
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Literal, cast
+from typing import Any, Literal, cast
 
 from mcap.writer import CompressionType, Writer
 
 from resc.errors import RecordingError
-from resc.recording.schema import SCHEMA_NAMES, Specification, require, schema_data
+from resc.recording.schema import SCHEMA_NAMES, schema_data
+from resc.recording.specification import Specification, require
 
 ACTIVE = ".active"
 PATTERN = "rollouts_*.mcap"
+# Only these are counted and deleted: a file renamed by hand is the user's.
+_NUMBERED = "rollouts_[0-9][0-9][0-9][0-9][0-9].mcap"
 _CHUNK_BYTES = 1 << 20
-_COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+_COMPRESSION = {
+    "zstd": CompressionType.ZSTD,
+    "lz4": CompressionType.LZ4,
+    "none": CompressionType.NONE,
+}
 
 Message = tuple[int, int, bytes | memoryview]
 """Log time [ns], sequence number, payload."""
@@ -26,7 +34,7 @@ _log = logging.getLogger(__name__)
 
 
 class _File:
-    """Unbuffered output that knows its size, so that a failed write leaves nothing pending in memory."""
+    """Unbuffered output that knows its size; a failed write leaves nothing pending in memory."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
@@ -44,7 +52,10 @@ class _File:
         return self.size
 
     def flush(self) -> None:
-        # fsync: network and quota file systems report a full disk only here.
+        pass  # nothing is buffered
+
+    def sync(self) -> None:
+        # Network and quota file systems report a full disk only here.
         os.fsync(self._descriptor)
 
     def truncate(self, size: int) -> None:
@@ -71,8 +82,11 @@ class Segment:
         self.path = path
         self._active = path.with_name(path.name + ACTIVE)
         self._file = _File(self._active)
-        stream = cast(IO[bytes], self._file)
-        self._writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=_COMPRESSION[compression])
+        stream = cast(Any, self._file)  # all that the writer asks of a file
+        self._writer = Writer(
+            stream, chunk_size=_CHUNK_BYTES, compression=_COMPRESSION[compression]
+        )
+        self._channels: dict[str, int] = {}
         self._durable = 0
         try:
             self._start(head)
@@ -88,13 +102,12 @@ class Segment:
         writer.add_metadata("resc.spec", head.specification.to_metadata())
         for name, data in head.attachments.items():
             media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"
-            writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
-        self._channels = {
-            topic: writer.register_channel(
-                topic, "protobuf", writer.register_schema(name, "protobuf", schema_data(topic, columns))
+            writer.add_attachment(
+                create_time=0, log_time=0, name=name, media_type=media_type, data=data
             )
-            for topic, name in SCHEMA_NAMES.items()
-        }
+        for topic, name in SCHEMA_NAMES.items():
+            schema = writer.register_schema(name, "protobuf", schema_data(topic, columns))
+            self._channels[topic] = writer.register_channel(topic, "protobuf", schema)
         self.commit()
 
     @property
@@ -111,13 +124,13 @@ class Segment:
 
     def commit(self) -> None:
         """Make everything written so far survive the process and the machine."""
-        self._file.flush()
+        self._file.sync()
         self._durable = self._file.size
 
     def finish(self) -> None:
         """Write the summary and give the file its final name."""
         self._writer.finish()
-        self._file.flush()
+        self._file.sync()
         self._file.close()
         self._active.rename(self.path)
 
@@ -130,7 +143,7 @@ class Segment:
 
 
 class Segments:
-    """All files of a recorder in one directory, oldest first; numbering continues after files already there."""
+    """All files of a recorder in one directory; their numbers go on after those already there."""
 
     def __init__(
         self,
@@ -138,21 +151,23 @@ class Segments:
         head: FileHead,
         *,
         compression: str,
-        rotate_bytes: float,
-        max_bytes: float | None,
+        rotate_mb: float,
+        max_gb: float | None,
         when_full: Literal["stop", "delete_oldest"],
     ) -> None:
-        self._directory, self._head, self._compression = directory, head, compression
-        self._rotate_bytes, self._max_bytes, self._when_full = rotate_bytes, max_bytes, when_full
         require(compression in _COMPRESSION, "compression", compression, "zstd, lz4 or none")
-        require(when_full in ("stop", "delete_oldest"), "when_full", when_full, "stop or delete_oldest")
-        require(rotate_bytes > 0, "rotate_mb", rotate_bytes / 1e6, "a positive size")
-        room = when_full == "stop" or max_bytes is None or max_bytes >= 2 * rotate_bytes
-        require(room, "max_gb", max_bytes, "at least twice rotate_mb, as only complete files can be deleted")
+        actions = ("stop", "delete_oldest")
+        require(when_full in actions, "when_full", when_full, " or ".join(actions))
+        require(rotate_mb > 0, "rotate_mb", rotate_mb, "a positive size")
+        room = when_full == "stop" or max_gb is None or max_gb * 1e3 >= 2 * rotate_mb
+        require(room, "max_gb", max_gb, f"at least twice rotate_mb ({2 * rotate_mb / 1e3:g} GB)")
+        self._directory, self._head, self._compression = directory, head, compression
+        self._rotate_bytes, self._when_full = rotate_mb * 1e6, when_full
+        self._max_bytes = math.inf if max_gb is None else max_gb * 1e9
         directory.mkdir(parents=True, exist_ok=True)
-        self._sizes = {path: path.stat().st_size for path in sorted(directory.glob(PATTERN))}
+        self._sizes = {path: path.stat().st_size for path in sorted(directory.glob(_NUMBERED))}
+        self._full = when_full == "stop" and sum(self._sizes.values()) >= self._max_bytes
         self._pinned: tuple[str, bytes] | None = None
-        self._full = when_full == "stop" and max_bytes is not None and sum(self._sizes.values()) >= max_bytes
         self._active: Segment | None = None
         self._activate()
 
@@ -160,12 +175,13 @@ class Segments:
         """The file being written; the next one where the last is complete."""
         if self._full:
             raise RecordingError(
-                f"The recordings in {self._directory} have reached recorder.max_gb = {(self._max_bytes or 0) / 1e9:g}. "
-                "Raise it, set recorder.when_full=delete_oldest, or record less with recorder.every_n_batches."
+                f"The recordings in {self._directory} have reached recorder.max_gb = "
+                f"{self._max_bytes / 1e9:g}. Raise it, set recorder.when_full=delete_oldest, or "
+                "record less with recorder.every_n_batches."
             )
         if self._active is None:
-            taken = [path.name for path in self._directory.glob(PATTERN + "*")]
-            number = max((int(name.split("_")[1].split(".")[0]) for name in taken), default=-1) + 1
+            taken = (path.name for path in self._directory.glob(_NUMBERED + "*"))
+            number = max((int(name[9:14]) for name in taken), default=-1) + 1
             path = self._directory / f"rollouts_{number:05d}.mcap"
             self._active = Segment(path, self._head, self._compression)
         return self._active
@@ -186,7 +202,7 @@ class Segments:
         """End a batch: make it durable, then rotate and keep to the budget."""
         segment = self._activate()
         segment.commit()
-        exhausted = self._max_bytes is not None and sum(self._sizes.values()) + segment.size >= self._max_bytes
+        exhausted = sum(self._sizes.values()) + segment.size >= self._max_bytes
         self._full = exhausted and self._when_full == "stop"
         if self._full or segment.size >= self._rotate_bytes:
             self.finish()
@@ -194,13 +210,13 @@ class Segments:
             self._delete_oldest()
 
     def _delete_oldest(self) -> None:
-        assert self._max_bytes is not None
         active = 0 if self._active is None else self._active.size
         for path in list(self._sizes)[: None if active else -1]:  # the newest file stays
             if sum(self._sizes.values()) + active < self._max_bytes:
                 break
             path.unlink(missing_ok=True)
-            _log.warning("Deleted %s (%.0f MB): recorder.max_gb is reached.", path, self._sizes.pop(path) / 1e6)
+            megabytes = self._sizes.pop(path) / 1e6
+            _log.warning("Deleted %s (%.0f MB): recorder.max_gb is reached.", path, megabytes)
 
     def finish(self) -> None:
         """Complete the current file, if there is one."""

@@ -1,5 +1,6 @@
 """One recorded file, complete or not: what it holds and where; chunks are read on demand."""
 
+import contextlib
 import struct
 import zlib
 from collections.abc import Iterator
@@ -12,19 +13,23 @@ import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, MessageIndex, Metadata
+from mcap.records import Attachment, Channel, Chunk, McapRecord, MessageIndex, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from resc.errors import RecordingError
-from resc.recording.schema import Specification
 from resc.recording.segments import ACTIVE
+from resc.recording.specification import Specification
 from resc.recording.wire import Rows
 
 _MESSAGE = 0x05
 _RECORD = struct.Struct("<BQ")
 _MESSAGE_HEAD = 31  # opcode, length, channel, sequence, log time, publish time
-_CHUNK_HEAD = struct.Struct("<BQQQQI")  # opcode, length, start time, end time, uncompressed size, CRC
+# What the readers of mcap raise at the end of a file that was cut.
+_CUT = (McapError, struct.error, UnicodeDecodeError)
+# Opcode, length, start time, end time, uncompressed size, CRC.
+_CHUNK_HEAD = struct.Struct("<BQQQQI")
+_DAMAGE = (zstandard.ZstdError, RuntimeError)  # lz4 raises RuntimeError
 
 
 @dataclass(frozen=True)
@@ -47,10 +52,18 @@ class Source:
     path: Path
     specification: Specification
     metadata: dict[str, str]
-    attachments: dict[str, bytes]
     topics: dict[str, int]
     chunks: list[ChunkRef]
     complete: bool
+
+    def attachments(self) -> dict[str, bytes]:
+        """Documents stored in the file, by name."""
+        with open_recording(self.path) as file:
+            if self.complete:
+                found = list(make_reader(file).iter_attachments())
+            else:
+                found = [record for record in _records(file) if isinstance(record, Attachment)]
+        return {record.name: record.data for record in found}
 
     def chunks_of(self, topic: str) -> list[ChunkRef]:
         """References to the chunks that hold messages of a topic."""
@@ -73,11 +86,12 @@ class Source:
             elif chunk.codec == "lz4":
                 data = lz4.frame.decompress(data)
             fine = crc in (0, zlib.crc32(data))
-        except (zstandard.ZstdError, RuntimeError):
+        except _DAMAGE:
             fine = False
         if not fine:
             raise RecordingError(
-                f"{self.path} is damaged at byte {chunk.offset}; copy it again, or read the batches before it."
+                f"{self.path} is damaged at byte {chunk.offset}; "
+                "copy it again, or read other batches."
             )
         return bytes(data)
 
@@ -91,7 +105,9 @@ def _message_runs(data: bytes, channel: int) -> Iterator[Rows]:
             position += stride
             continue
         # Opcode, length and channel of all messages of this length that may follow.
-        heads = np.ndarray(((len(data) - position) // stride, 11), np.uint8, data, position, (stride, 1))
+        heads = np.ndarray(
+            ((len(data) - position) // stride, 11), np.uint8, data, position, (stride, 1)
+        )
         same = (heads == heads[0]).all(axis=1)
         count = len(same) if same.all() else int(same.argmin())
         if int.from_bytes(data[position + 9 : position + 11], "little") == channel:
@@ -101,59 +117,59 @@ def _message_runs(data: bytes, channel: int) -> Iterator[Rows]:
 
 def open_recording(path: Path) -> IO[bytes]:
     """The file, under its final name if it has been completed since it was listed."""
+    renamed = path.suffix == ACTIVE and not path.exists()
     try:
-        return path.open("rb")
-    except FileNotFoundError:
-        if path.suffix != ACTIVE:
-            raise
-        return path.with_suffix("").open("rb")
+        return (path.with_suffix("") if renamed else path).open("rb")
+    except OSError as error:
+        raise RecordingError(
+            f"{path} cannot be read: {error.strerror}. Check the path and its permissions."
+        ) from error
 
 
 @dataclass
 class _Contents:
+    complete: bool
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
     topics: dict[str, int] = field(default_factory=dict)
     chunks: list[ChunkRef] = field(default_factory=list)
 
 
 def open_source(path: Path) -> Source | None:
     """Index of a file; None for one that was cut before its description was written."""
-    try:
-        with open_recording(path) as file:
-            magic = file.read(len(MCAP0_MAGIC))
-            if magic != MCAP0_MAGIC[: len(magic)]:
-                raise RecordingError(f"{path} is not an MCAP file; give a recording of RESC, its directory or a pattern.")
-            complete = _ends_properly(file)
-            file.seek(0)
-            contents = _index(file) if complete else _recover(file)
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror}. Check the path and its permissions.") from error
+    with open_recording(path) as file:
+        magic = file.read(len(MCAP0_MAGIC))
+        if magic != MCAP0_MAGIC[: len(magic)]:
+            raise RecordingError(f"{path} is not an MCAP file; give a recording made by RESC.")
+        contents = _index(file) or _recover(file)
     if "resc.spec" not in contents.metadata:
-        if not complete:
+        if not contents.complete:
             return None
-        raise RecordingError(f"{path} is an MCAP file without 'resc.spec'; RESC reads only the recordings it wrote.")
-    specification = Specification.from_metadata(contents.metadata["resc.spec"], str(path))
-    run = contents.metadata.get("resc.run", {})
-    return Source(path, specification, run, contents.attachments, contents.topics, contents.chunks, complete)
+        raise RecordingError(
+            f"{path} holds no metadata 'resc.spec'; RESC reads only what it recorded."
+        )
+    return Source(
+        path,
+        Specification.from_metadata(contents.metadata["resc.spec"], str(path)),
+        contents.metadata.get("resc.run", {}),
+        contents.topics,
+        contents.chunks,
+        contents.complete,
+    )
 
 
-def _ends_properly(file: IO[bytes]) -> bool:
-    size = file.seek(0, 2)
-    file.seek(max(0, size - len(MCAP0_MAGIC)))
-    return size > 2 * len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC
-
-
-def _index(file: IO[bytes]) -> _Contents:
-    """Contents of a complete file, from its summary."""
-    reader = make_reader(file)
-    summary = reader.get_summary()
-    contents = _Contents()
+def _index(file: IO[bytes]) -> _Contents | None:
+    """Contents of a complete file, from its summary; None if it has none."""
+    try:
+        file.seek(0)
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+    except _CUT:
+        return None
     if summary is None:
-        return contents
+        return None
+    contents = _Contents(complete=True, metadata=metadata)
     contents.topics = {channel.topic: number for number, channel in summary.channels.items()}
-    contents.metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-    contents.attachments = {record.name: record.data for record in reader.iter_attachments()}
     contents.chunks = [
         ChunkRef(
             frozenset(chunk.message_index_offsets),
@@ -169,27 +185,36 @@ def _index(file: IO[bytes]) -> _Contents:
     return contents
 
 
+def _records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """The records of a file, up to where it was cut."""
+    file.seek(0)
+    with contextlib.suppress(*_CUT):
+        yield from StreamReader(file, emit_chunks=True).records
+
+
 def _recover(file: IO[bytes]) -> _Contents:
-    """Contents of a file without summary, record by record up to where it was cut."""
-    contents, chunk, end = _Contents(), None, 0
-    try:
-        for record in StreamReader(file, emit_chunks=True).records:
-            if isinstance(record, Metadata):
-                contents.metadata[record.name] = record.metadata
-            elif isinstance(record, Attachment):
-                contents.attachments[record.name] = record.data
-            elif isinstance(record, Chunk):
-                chunk, end = record, file.tell()
-                if not contents.topics:
-                    channels = [part for part in breakup_chunk(record) if isinstance(part, Channel)]
-                    contents.topics = {channel.topic: channel.id for channel in channels}
-            elif isinstance(record, MessageIndex) and chunk is not None:
-                # An index follows every chunk; a chunk without one was still being written.
-                contents.chunks.append(_reference(chunk, end, record.channel_id))
-                chunk = None
-    except (McapError, struct.error, UnicodeDecodeError):
-        pass  # the cut
+    """Contents of a file without summary, record by record."""
+    contents, chunk, end = _Contents(complete=False), None, 0
+    for record in _records(file):
+        if isinstance(record, Metadata):
+            contents.metadata[record.name] = record.metadata
+        elif isinstance(record, Chunk):
+            chunk, end = record, file.tell()
+        elif isinstance(record, MessageIndex) and chunk is not None:
+            # An index follows every chunk; a chunk without one was still being written.
+            contents.topics |= {} if contents.topics else _topics(chunk)
+            contents.chunks.append(_reference(chunk, end, record.channel_id))
+            chunk = None
     return contents
+
+
+def _topics(chunk: Chunk) -> dict[str, int]:
+    """Channel numbers by topic; the first chunk of a file lists them."""
+    try:
+        records = breakup_chunk(chunk)
+    except _DAMAGE:
+        return {}
+    return {record.topic: record.id for record in records if isinstance(record, Channel)}
 
 
 def _reference(chunk: Chunk, end: int, channel: int) -> ChunkRef:

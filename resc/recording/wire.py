@@ -1,41 +1,42 @@
-"""Protobuf messages to and from numpy, whole batches at a time.
+"""Fragments, the protobuf messages of `/rollout`, to and from numpy: whole batches at a time.
 
-A packed repeated field of fixed width is a tag, a length and a little-endian array. With fixed-width headers the messages of
-one batch differ only in the bytes of these arrays and of the environment number, so N messages are one `[N, size]` byte
-matrix: a template row, overwritten by strided copies.
+A packed repeated field of fixed width is a tag, a length and a little-endian array. With
+fixed-width headers the messages of one batch differ only in the bytes of these arrays and of the
+environment number, so N messages are one `[N, size]` byte matrix: a template row, overwritten by
+strided copies.
 """
 
-import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import torch
-from jaxtyping import Shaped, UInt8
-from torch import Tensor
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto
+from jaxtyping import Float, Shaped, UInt8
 
-from resc.recording.schema import Column, Leaf, Tree, column_tree
+from resc.recording.schema import FIELDS, ROLLOUT, Column, Leaf, Tree, column_tree
 
+_Field = FieldDescriptorProto
 _LENGTH_DELIMITED = 2
-_HEADER = np.dtype([
-    ("tag_1", "u1"), ("env_id", "<u4"), ("tag_2", "u1"), ("batch", "<u4"), ("tag_3", "u1"), ("start_step", "<u8")
-])  # fmt: skip
-_HEADER_TAGS = {"tag_1": 0x0D, "tag_2": 0x15, "tag_3": 0x19}
+_FIXED_WIDTH = {
+    _Field.TYPE_FIXED32: (5, "<u4"),
+    _Field.TYPE_FIXED64: (1, "<u8"),
+    _Field.TYPE_FLOAT: (5, "<f4"),
+    _Field.TYPE_BOOL: (0, "?"),
+}
 
-EPISODE = np.dtype([
-    ("tag_1", "u1"), ("env_id", "<u4"), ("tag_2", "u1"), ("episode", "<u4"),
-    ("tag_3", "u1"), ("start_step", "<u8"), ("tag_4", "u1"), ("end_step", "<u8"),
-    ("tag_5", "u1"), ("length", "<u4"), ("tag_6", "u1"), ("scene", "<u4"),
-    ("tag_7", "u1"), ("return_", "<f4"), ("tag_8", "u1"), ("success", "?"),
-])  # fmt: skip
-"""One `resc.Episode` message without its last field, the outcome."""
-EPISODE_KEYS = tuple(name for name in EPISODE.names or () if not name.startswith("tag_"))
-_EPISODE_TAGS = (0x0D, 0x15, 0x19, 0x21, 0x2D, 0x35, 0x3D, 0x40)
-_OUTCOME_FIELD = 9
 
-_WORLD_FIELDS = {torch.float32: 3, torch.bool: 4, torch.int32: 5, torch.uint32: 6}
-_WORLD_DTYPES = {3: np.dtype("<f4"), 4: np.dtype("?"), 5: np.dtype("<i4"), 6: np.dtype("<u4")}
+def fixed_fields(topic: str, count: int) -> Shaped[np.ndarray, " count"]:
+    """The fixed-width fields that a topic's messages begin with, tags in place and values zero."""
+    fields = [(name, *_FIXED_WIDTH[k]) for name, k in FIELDS[topic].items() if k in _FIXED_WIDTH]
+    dtype = [item for name, _, kind in fields for item in ((f"{name}.tag", "u1"), (name, kind))]
+    records = np.zeros(count, dtype)
+    for number, (name, wire_type, _) in enumerate(fields, 1):
+        records[f"{name}.tag"] = number << 3 | wire_type
+    return records
+
+
+_HEADER = fixed_fields(ROLLOUT, 0).dtype
 
 
 def varint(value: int) -> bytes:
@@ -48,7 +49,8 @@ def varint(value: int) -> bytes:
     return bytes(out)
 
 
-def _read_varint(data: bytes, position: int) -> tuple[int, int]:
+def read_varint(data: bytes, position: int) -> tuple[int, int]:
+    """The integer at a position, and the position after it."""
     value = shift = 0
     while True:
         byte = data[position]
@@ -59,20 +61,9 @@ def _read_varint(data: bytes, position: int) -> tuple[int, int]:
         shift += 7
 
 
-def _delimited(number: int, payload: bytes) -> bytes:
+def delimited(number: int, payload: bytes) -> bytes:
+    """A length-delimited field: a string, a message or a packed array."""
     return varint(number << 3 | _LENGTH_DELIMITED) + varint(len(payload)) + payload
-
-
-def _fields(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Length-delimited and 8-byte fields of a message, as (number, payload)."""
-    position = 0
-    while position < len(data):
-        tag, position = _read_varint(data, position)
-        length = 8
-        if tag & 7 == _LENGTH_DELIMITED:
-            length, position = _read_varint(data, position)
-        yield tag >> 3, data[position : position + length]
-        position += length
 
 
 @dataclass(frozen=True)
@@ -87,25 +78,24 @@ class Layout:
 @lru_cache(maxsize=64)
 def fragment_layout(columns: tuple[Column, ...], steps: int) -> Layout:
     """Layout of the fragments of a batch that is `steps` long."""
-    header = np.zeros(1, _HEADER)
-    for name, tag in _HEADER_TAGS.items():
-        header[name] = tag
-    body, offsets = _tree_layout(column_tree(columns), columns, steps, first=len(_HEADER_TAGS) + 1)
-    template = np.frombuffer(header.tobytes() + body, np.uint8)
-    return Layout(template, tuple((leaf, _HEADER.itemsize + offset) for leaf, offset in offsets), steps)
+    header = fixed_fields(ROLLOUT, 1).tobytes()
+    first = len(FIELDS[ROLLOUT]) + 1
+    body, offsets = _tree_layout(column_tree(columns), columns, steps, first)
+    template = np.frombuffer(header + body, np.uint8)
+    return Layout(template, tuple((leaf, len(header) + at) for leaf, at in offsets), steps)
 
 
 def _tree_layout(
     tree: Tree, columns: Sequence[Column], steps: int, first: int = 1
 ) -> tuple[bytes, list[tuple[Leaf, int]]]:
     out, offsets = b"", []
-    for number, (_, child) in enumerate(tree.items(), first):
+    for number, child in enumerate(tree.values(), first):
         if isinstance(child, Leaf):
             payload, inner = bytes(steps * columns[child.column].numpy_dtype.itemsize), [(child, 0)]
         else:
             payload, inner = _tree_layout(child, columns, steps)
-        out += _delimited(number, payload)
-        offsets += [(leaf, len(out) - len(payload) + offset) for leaf, offset in inner]
+        out += delimited(number, payload)
+        offsets += [(leaf, len(out) - len(payload) + at) for leaf, at in inner]
     return out, offsets
 
 
@@ -119,10 +109,16 @@ class Rows:
     size: int
     count: int
 
-    def view(self, dtype: np.dtype, offset: int = 0, values: int = 1) -> Shaped[np.ndarray, "n values"]:
+    def view(
+        self, dtype: np.dtype, offset: int = 0, values: int = 1
+    ) -> Shaped[np.ndarray, "n values"]:
         """The array at `offset` of each message; no copy."""
         return np.ndarray(
-            (self.count, values), dtype, self.buffer, self.first + offset, (self.stride, dtype.itemsize)
+            (self.count, values),
+            dtype,
+            self.buffer,
+            self.first + offset,
+            (self.stride, dtype.itemsize),
         )
 
     def message(self, index: int) -> bytes:
@@ -132,7 +128,10 @@ class Rows:
 
 
 def encode_fragments(
-    columns: tuple[Column, ...], arrays: Sequence[Shaped[np.ndarray, "t n c"]], batch: int, start_step: int
+    columns: tuple[Column, ...],
+    arrays: Sequence[Shaped[np.ndarray, "t n _"]],
+    batch: int,
+    start_step: int,
 ) -> list[memoryview]:
     """One `resc.RolloutFragment` for each environment, from one array for each column."""
     steps, num_envs, _ = arrays[0].shape
@@ -153,8 +152,8 @@ def fragment_steps(columns: tuple[Column, ...], message: bytes) -> int:
     """Steps in a fragment, from the length of its first array."""
     position, node = _HEADER.itemsize, column_tree(columns)
     while True:
-        _, position = _read_varint(message, position)
-        length, position = _read_varint(message, position)
+        _, position = read_varint(message, position)
+        length, position = read_varint(message, position)
         node = next(iter(node.values()))
         if isinstance(node, Leaf):
             return length // columns[node.column].numpy_dtype.itemsize
@@ -166,66 +165,27 @@ def fragment_headers(rows: Rows) -> Shaped[np.ndarray, " n"]:
 
 
 def decode_fragments(
-    columns: tuple[Column, ...], layout: Layout, rows: Rows, out: Sequence[Shaped[np.ndarray, "t n c"]]
+    columns: tuple[Column, ...],
+    layout: Layout,
+    rows: Rows,
+    out: Sequence[Shaped[np.ndarray, "t n _"]],
 ) -> None:
     """Copy the values of some fragments into one array for each column."""
     for (column, component), offset in layout.offsets:
         dtype = columns[column].numpy_dtype
         raw = rows.view(np.dtype(np.uint8), offset, layout.steps * dtype.itemsize)
-        # Fields lie at odd addresses; moving the bytes to even ones first makes the transposition twice as fast.
+        # Fields lie at odd addresses; moved to even ones, they transpose in half the time.
         out[column][:, :, component] = np.ascontiguousarray(raw).view(dtype).T
 
 
-def encode_episodes(
-    values: Mapping[str, np.ndarray], outcome: np.ndarray, outcomes: Sequence[str]
-) -> list[bytes]:
-    """One `resc.Episode` for each entry of the arrays."""
-    records = np.zeros(len(outcome), EPISODE)
-    for number, (name, tag) in enumerate(zip(EPISODE_KEYS, _EPISODE_TAGS, strict=True), 1):
-        records[f"tag_{number}"], records[name] = tag, values[name]
-    endings = [_delimited(_OUTCOME_FIELD, name.encode()) for name in outcomes]
-    return [record.tobytes() + endings[code] for record, code in zip(records, outcome, strict=True)]
-
-
-def decode_episodes(messages: Sequence[bytes]) -> tuple[np.ndarray, list[str]]:
-    """Structured array of type `EPISODE`, and the outcome of each episode."""
-    records = np.frombuffer(b"".join(message[: EPISODE.itemsize] for message in messages), EPISODE)
-    endings = [_read_varint(message, EPISODE.itemsize + 1)[1] for message in messages]
-    return records, [message[start:].decode() for message, start in zip(messages, endings, strict=True)]
-
-
-def encode_world(arrays: Mapping[str, Tensor], start_step: int) -> bytes:
-    """One `resc.World`: named arrays of any shape."""
-    out = bytes([0x09]) + struct.pack("<Q", start_step)
-    for name, tensor in arrays.items():
-        array = tensor.numpy()
-        shape = struct.pack(f"<{array.ndim}I", *array.shape)
-        body = _delimited(1, name.encode()) + _delimited(2, shape)
-        out += _delimited(2, body + _delimited(_WORLD_FIELDS[tensor.dtype], array.tobytes()))
-    return out
-
-
-def decode_world(message: bytes) -> tuple[int, dict[str, Tensor]]:
-    """Start step and arrays of one `resc.World`."""
-    start_step, arrays = 0, {}
-    for number, payload in _fields(message):
-        if number == 1:
-            (start_step,) = struct.unpack("<Q", payload)
-            continue
-        parts = dict(_fields(payload))
-        kind = next(field for field in parts if field in _WORLD_DTYPES)
-        shape = struct.unpack(f"<{len(parts[2]) // 4}I", parts[2])
-        values = np.ndarray(shape, _WORLD_DTYPES[kind], parts[kind]).copy()
-        arrays[parts[1].decode()] = torch.from_numpy(values)
-    return start_step, arrays
-
-
-def round_mantissa(values: np.ndarray, bits: int) -> None:
+def round_mantissa(values: Float[np.ndarray, "..."], bits: int) -> None:
     """Round float32 values in place to `bits` stored mantissa bits, ties to even.
 
-    Relative error <= 2^-(bits + 1). Infinities, NaN and values of 1.7e38 and above, which could overflow, stay as they are.
+    Relative error <= 2^-(bits + 1). Infinities, NaN and values of 1.7e38 and above, which could
+    overflow, stay as they are; subnormal values keep an absolute error of 2^-(bits + 127).
     """
     raw = values.view(np.uint32)
     drop = 23 - bits
-    rounded = (raw + ((raw >> drop) & 1) + np.uint32((1 << (drop - 1)) - 1)) & np.uint32(0xFFFFFFFF << drop & 0xFFFFFFFF)
+    half, kept = np.uint32((1 << drop - 1) - 1), np.uint32((1 << 32) - (1 << drop))
+    rounded = (raw + (raw >> drop & 1) + half) & kept
     np.copyto(raw, rounded, where=(raw & 0x7F800000) < 0x7F000000)

@@ -1,0 +1,221 @@
+"""The TorchRL environment: a batch of quadrotors, each in a scene of the pool."""
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from resc import keys
+from resc.envs.stages import Stages, StepOutput, World
+from resc.errors import ConfigError, NumericalError
+from resc.math.sampling import generator_for
+from resc.scenes.pool import ScenePool
+
+
+class QuadrotorEnv(EnvBase):
+    """`num_envs` quadrotors flying through scenes of a pool, one compiled control step at a time.
+
+    Two faces of one simulation: TorchRL's `step` and `reset`, and, without their overhead of milliseconds a step, `advance`
+    and `restart`, which training uses. All mutable state is `world`; a seed fixes every draw.
+
+    Args:
+        stages: The compiled-to-be functions.
+        pool: Scenes to reset into.
+        num_envs: Batch size.
+        seed: Seed of every drawing term.
+        device: Where the tensors live.
+        compile: Whether the step and the reset are compiled; the numbers agree to rounding.
+        in_order: Resets walk through the pool, row i starting at entry i, instead of drawing entries: for evaluation.
+        closed: Entries of the pool, next in turn for renewal, that no episode starts in.
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self,
+        stages: Stages,
+        pool: ScenePool,
+        *,
+        num_envs: int,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+        compile: bool = True,
+        in_order: bool = False,
+        closed: int = 0,
+    ) -> None:
+        if num_envs < 1:
+            raise ConfigError(f"num_envs is {num_envs}; expected at least 1.")
+        super().__init__(device=torch.device(device), batch_size=[num_envs])
+        self.stages = stages.to(device)
+        self.pool = pool
+        self.num_envs = num_envs
+        self.in_order = in_order
+        self.closed = closed
+        self.visits = torch.zeros(num_envs, dtype=torch.int64)
+        self.steps_taken = 0
+        self.chunk = max(min(num_envs, 8), num_envs // 32)
+        self._step_function = stages.step
+        self._restart_function = self._restart_rows
+        if compile:
+            self._step_function = torch.compile(stages.step, fullgraph=True, dynamic=False)
+            self._restart_function = torch.compile(self._restart_rows, fullgraph=True, dynamic=False)
+        self._make_specs()
+        self.set_seed(seed)
+        self._world: World = {}
+        self.observation = torch.zeros(num_envs, self.observation_width, device=self.device)
+
+    @property
+    def observation_width(self) -> int:
+        """Number of columns the policy sees."""
+        return len(self.stages.observation_columns)
+
+    @property
+    def world(self) -> TensorDict:
+        """All mutable state of the batch, as views."""
+        return TensorDict(self._world, batch_size=[self.num_envs], device=self.device)
+
+    @world.setter
+    def world(self, value: TensorDictBase) -> None:
+        self._world = {key: value[key].clone() for key in self.stages.persistent}
+
+    def value_of(self, key: tuple[str, ...]) -> Tensor:
+        """One entry of the world, a view."""
+        return self._world[key]
+
+    @torch.no_grad()
+    def advance(self, action: Tensor) -> StepOutput:
+        """One control step of all environments; rows that are done wait for `restart`.
+
+        Raises:
+            NumericalError: The action holds a number that is not finite.
+        """
+        if not action.isfinite().all():
+            self._report_bad_action(action)
+        self._world, out = self._step_function(self._world, self.pool.shared, action)
+        self.observation = out.observation
+        self.steps_taken += 1
+        return out
+
+    @torch.no_grad()
+    def restart(self, rows: Tensor) -> Tensor:
+        """Begins new episodes in the given rows; returns the observation of all rows [n, width]."""
+        if not self._world:
+            self._allocate()
+        self.observation = self.observation.clone()  # the caller keeps the last observation of the episode
+        for part in rows.cpu().split(self.chunk):
+            filled = torch.arange(self.chunk).clamp(max=len(part) - 1)
+            target = part[filled].to(self.device)
+            entry = self._entries(part)[filled].unsqueeze(-1).to(self.device)
+            drawn = {
+                name: torch.rand(len(part), width, generator=self.generators[name])[filled].to(self.device)
+                for name, width in self.draws.items()
+            }
+            self._restart_function(self._world, self.observation, target, entry, self.pool.tasks, self.pool.shared, drawn)
+        return self.observation
+
+    def renew(self, count: int) -> Tensor:
+        """Renews `count` scenes of the pool; returns the rows that were still flying in them [k] and must restart."""
+        entries = self.pool.renew(count).to(self.device)
+        return torch.isin(self._world[keys.SCENE_INDEX][:, 0], entries).nonzero()[:, 0]
+
+    def generator_states(self) -> dict[str, Tensor]:
+        """States of all generators, for a checkpoint."""
+        return {name: generator.get_state() for name, generator in self.generators.items()}
+
+    def load_generator_states(self, states: dict[str, Tensor]) -> None:
+        """Takes a checkpoint's generator states."""
+        for name, state in states.items():
+            self.generators[name].set_state(state)
+
+    def _entries(self, rows: Tensor) -> Tensor:
+        """Pool entries for new episodes of the given rows."""
+        if self.in_order:
+            entries = (rows + self.visits[rows] * self.num_envs) % len(self.pool)
+            self.visits[rows] += 1
+            return entries
+        return self.pool.entry(torch.rand(len(rows), generator=self.generators["scene"]), self.closed)
+
+    def _restart_rows(
+        self,
+        world: World,
+        observation: Tensor,
+        rows: Tensor,
+        entry: Tensor,
+        tasks: World,
+        shared: World,
+        drawn: dict[str, Tensor],
+    ) -> None:
+        fresh, seen = self.stages.restart(tasks, entry, shared, drawn)
+        for key, value in fresh.items():
+            world[key].index_copy_(0, rows, value)
+        observation.index_copy_(0, rows, seen)
+
+    def _allocate(self) -> None:
+        """An empty world of the right shapes."""
+        drawn = {name: torch.zeros(1, width, device=self.device) for name, width in self.draws.items()}
+        entry = torch.zeros(1, 1, dtype=torch.int64, device=self.device)
+        fresh, _ = self.stages.restart(self.pool.tasks, entry, self.pool.shared, drawn)
+        self._world = {key: value.new_zeros(self.num_envs, *value.shape[1:]) for key, value in fresh.items()}
+
+    def _report_bad_action(self, action: Tensor) -> None:
+        row = int((~action.isfinite().all(-1)).nonzero()[0, 0])
+        step = int(self._world[keys.CLOCK][row, 0])
+        raise NumericalError(
+            f"The policy's output for environment {row} at step {step} of its episode is {action[row].tolist()}; "
+            f"lower the learning rate or resume from an earlier checkpoint."
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.seed_value = 0 if seed is None else seed
+        drawing = [t for t in (*self.stages.terms.randomizations, self.stages.terms.initial_state) if t.draws]
+        self.draws = {term.name: term.draws for term in drawing}
+        names = ["scene", *self.draws]
+        self.generators = {name: generator_for(self.seed_value, name) for name in names}
+        self.visits.zero_()
+
+    def _make_specs(self) -> None:
+        n, device = self.num_envs, self.device
+        width = self.observation_width
+        self.observation_spec = Composite(
+            observation=Unbounded((n, width), device=device),
+            outcome=Unbounded((n, 1), dtype=torch.int64, device=device),
+            shape=(n,),
+        )
+        self.action_spec = Bounded(-1.0, 1.0, (n, self.stages.terms.action.width), device=device)
+        self.reward_spec = Unbounded((n, 1), device=device)
+        flag = Categorical(2, shape=(n, 1), dtype=torch.bool, device=device)
+        self.done_spec = Composite(
+            done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)
+        )
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDict:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        rows = torch.arange(self.num_envs) if mask is None else mask[:, 0].nonzero()[:, 0]
+        observation = self.restart(rows) if len(rows) else self.observation
+        outcome = torch.zeros(self.num_envs, 1, dtype=torch.int64, device=self.device)
+        return TensorDict(
+            {"observation": observation.clone(), "outcome": outcome}, batch_size=self.batch_size, device=self.device
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        out = self.advance(tensordict["action"])
+        return TensorDict(
+            {
+                "observation": out.observation,
+                "outcome": out.outcome,
+                "reward": out.reward,
+                "done": out.done,
+                "terminated": out.terminated,
+                "truncated": out.truncated,
+            },
+            batch_size=self.batch_size,
+            device=self.device,
+        )
+
+
+def layout_of(stages: Stages) -> Sequence[tuple[str, int]]:
+    """Names and widths of the observation's blocks: what a policy must agree with."""
+    return tuple((term.name, term.width) for term in stages.terms.observations)

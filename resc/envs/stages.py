@@ -1,0 +1,216 @@
+"""The control step and the reset as pure functions of tensors, assembled from terms."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.keys import DECLARED, NestedKey, previous
+from resc.term import Action, Context, Metric, Observation, Randomization, Reward, Sensor, Term, Termination
+from resc.simulation.vehicle import GRAVITY_MPS2
+from resc.terms.tasks.control_points import next_two
+
+World = dict[NestedKey, Tensor]
+
+STEP_INPUTS = (keys.ACTION, keys.CLOCK)
+"""Keys that the stages themselves write in a step."""
+SUCCESS = "success"
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Everything an environment is made of, in the order it runs. Observations in the order of the policy's input."""
+
+    action: Action
+    rate_loop: Term
+    dynamics: Term
+    task: Term
+    initial_state: Term
+    sensors: Sequence[Sensor]
+    terminations: Sequence[Termination]
+    rewards: Sequence[Reward]
+    observations: Sequence[Observation]
+    randomizations: Sequence[Randomization] = field(default_factory=tuple)
+    metrics: Sequence[Metric] = field(default_factory=tuple)
+
+    def __iter__(self) -> Iterable[Term]:
+        """Every term, in the order of a step, the reset's terms first."""
+        yield from self.randomizations
+        yield self.initial_state
+        yield from (self.action, self.rate_loop, self.dynamics, self.task)
+        for stage in (self.sensors, self.terminations, self.rewards, self.metrics, self.observations):
+            yield from stage
+
+
+class StepOutput(NamedTuple):
+    """What a step tells the learner. Rows that are done still show the last observation of their episode."""
+
+    observation: Tensor
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    done: Tensor
+    outcome: Tensor
+    reward_terms: Tensor
+
+
+class Stages(nn.Module):
+    """Runs terms in the order of the architecture's stages, on flat dicts of tensors.
+
+    Raises:
+        ConfigError: A term reads a key that nothing before it writes.
+    """
+
+    def __init__(self, terms: Terms, context: Context) -> None:
+        super().__init__()
+        self.terms = terms
+        self.modules_of_terms = nn.ModuleList(list(terms))  # so that .to(device) reaches their buffers
+        self.context = context
+        for term in terms:
+            term.bind(context)
+        for name, value in context.vehicle.parameters().items():
+            self.register_buffer(_buffer_name(name), value, persistent=False)
+        own = {key for term in terms for key in (*term.outputs, *term.initial)}
+        read = {key for term in terms for key in term.reads}
+        wanted = {key for key in read if key[0] == "memory" and key not in own}
+        if terms.metrics:
+            wanted.add(previous(keys.FINISHED))
+        self.memory = sorted(wanted)
+        self.outcomes = (SUCCESS, *(term.name for term in terms.terminations if not term.success))
+        self._check_wiring()
+
+    @property
+    def observation_columns(self) -> list[str]:
+        """Names of the observation's numbers: term.column."""
+        return [f"{term.name}.{column}" for term in self.terms.observations for column in term.columns]
+
+    def step(self, world: World, shared: World, action: Tensor) -> tuple[World, StepOutput]:
+        """One control step of every environment: the next world and what the learner sees of it."""
+        terms = self.terms
+        tensors = {**world, **shared, keys.ACTION: action, keys.CLOCK: world[keys.CLOCK] + 1}
+        for key in self.memory:
+            tensors[key] = world[key[1:]]
+        for term in (terms.action, terms.rate_loop, terms.dynamics, terms.task, *terms.sensors, *terms.terminations):
+            term.run(tensors)
+        self._finish(tensors)
+        for term in terms.rewards:
+            term.run(tensors)
+        reward_terms = torch.cat([tensors[term.outputs[0]] * term.weight for term in terms.rewards], -1)
+        for term in terms.metrics:
+            self._advance_metric(term, tensors)
+        out = StepOutput(
+            observation=self._observe(tensors),
+            reward=reward_terms.sum(-1, keepdim=True),
+            terminated=tensors[keys.TERMINATED],
+            truncated=tensors[keys.TRUNCATED],
+            done=tensors[keys.DONE],
+            outcome=tensors[("outcome",)],
+            reward_terms=reward_terms,
+        )
+        return {key: tensors[key] for key in world}, out
+
+    def restart(self, tasks: World, index: Tensor, shared: World, drawn: Mapping[str, Tensor]) -> tuple[World, Tensor]:
+        """The world and the observation of episodes that begin in the pool's entries `index` [k, 1]."""
+        terms = self.terms
+        count = index.shape[0]
+        tensors = {**shared, keys.SCENE_INDEX: index}
+        for key, value in tasks.items():
+            tensors[key] = value[index[:, 0]]
+        for key in self.context.vehicle.parameters():
+            tensors[key] = getattr(self, _buffer_name(key)).expand(count, -1)
+        for term in (*terms.randomizations, terms.initial_state):
+            term.run(tensors, *([drawn[term.name]] if term.draws else []))
+        start = tensors[keys.POSITION_W]
+        zero = start[:, :1] * 0
+        hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
+        length = tensors[keys.ROUTE_LENGTH]
+        tensors |= {
+            keys.CLOCK: zero,
+            keys.ACCELERATION_W: torch.zeros_like(start),
+            keys.ROTOR_THRUST: hover.expand(-1, 4),
+            keys.ROUTE_INDEX: torch.zeros_like(length),
+            keys.FINISHED: torch.zeros_like(length, dtype=torch.bool),
+            keys.CONTROL_POINTS_W: next_two(tensors[keys.ROUTE_W], length, torch.zeros_like(length)),
+        }
+        for term in terms:
+            for key, value in term.initial.items():
+                tensors[key] = start.new_full((count, *_shape(key, term)), value)
+        for term in terms.metrics:
+            tensors[term.outputs[0]] = zero + term.start
+        for key in self.memory:
+            tensors[key] = tensors[key[1:]]
+        for term in terms.sensors:
+            if all(key in tensors for key in term.reads):
+                term.run(tensors)
+        observation = self._observe(tensors)
+        return {key: tensors[key] for key in self.persistent}, observation
+
+    @property
+    def persistent(self) -> list[NestedKey]:
+        """Keys of the world: what one step hands to the next."""
+        state = [key for key in DECLARED if key[0] in ("state", "params")]
+        task = [keys.ROUTE_W, keys.ROUTE_LENGTH, keys.ROUTE_INDEX, keys.CONTROL_POINTS_W, keys.FINISHED]
+        kept = [key for term in self.terms for key in term.initial]
+        metrics = [term.outputs[0] for term in self.terms.metrics]
+        return [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *dict.fromkeys(kept), *metrics]
+
+    def _finish(self, tensors: World) -> None:
+        """Combines the terminations into terminated, truncated, done and the outcome's number."""
+        finished = tensors[keys.FINISHED]
+        none = torch.zeros_like(finished)
+        terminated, truncated = none, none
+        outcome = torch.zeros_like(finished, dtype=torch.int64)
+        failures = [term for term in self.terms.terminations if not term.success]
+        for term in self.terms.terminations:
+            happened = tensors[term.outputs[0]]
+            if term.truncates:
+                truncated = truncated | happened
+            else:
+                terminated = terminated | happened
+        for number, term in reversed(list(enumerate(failures, start=1))):
+            outcome = torch.where(tensors[term.outputs[0]], number, outcome)
+        tensors[keys.TERMINATED] = terminated
+        tensors[keys.TRUNCATED] = truncated & ~terminated
+        tensors[keys.DONE] = terminated | truncated
+        tensors[("outcome",)] = torch.where(finished, 0, outcome)
+
+    def _advance_metric(self, term: Metric, tensors: World) -> None:
+        key = term.outputs[0]
+        value = term.compute(tensors[key], *(tensors[k] for k in term.reads))
+        if term.freezes_at_finish:
+            value = torch.where(tensors[previous(keys.FINISHED)], tensors[key], value)
+        tensors[key] = value
+
+    def _observe(self, tensors: World) -> Tensor:
+        blocks = [
+            term.compute(*(tensors[key] for key in term.reads)) * term.scale for term in self.terms.observations
+        ]
+        return torch.cat(blocks, -1)
+
+    def _check_wiring(self) -> None:
+        """Every key a term reads must be there before it runs."""
+        shared = {key for key, declared in DECLARED.items() if declared.shared}
+        known = shared | set(self.persistent) | set(self.memory) | {keys.START_W, *STEP_INPUTS}
+        for term in self.terms:
+            for key in term.reads:
+                if key not in known | {keys.TERMINATED, keys.TRUNCATED, keys.DONE}:
+                    raise ConfigError(
+                        f"{term.group or 'term'}.{term.name} reads {'.'.join(key)}, which nothing before it writes; "
+                        f"add a term that does, or drop this one."
+                    )
+            known |= set(term.outputs)
+
+
+def _buffer_name(key: NestedKey) -> str:
+    return "nominal_" + "_".join(key)
+
+
+def _shape(key: NestedKey, term: Term) -> tuple[int, ...]:
+    """Shape per environment of a key that a term keeps."""
+    dims = getattr(term, "dims", {})
+    declared = DECLARED[key].shape if key in DECLARED else (1,)
+    return tuple(dims[d] if isinstance(d, str) else d for d in declared)

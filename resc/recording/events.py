@@ -1,0 +1,83 @@
+"""The rare messages, one at a time: finished episodes and the scenes in use."""
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Shaped
+from torch import Tensor
+
+from resc.errors import RecordingError
+from resc.recording.schema import EPISODE_KEYS, EPISODES, WORLD, WORLD_FIELDS, numpy_type
+from resc.recording.wire import delimited, fixed_fields, read_varint
+
+_OUTCOME = len(EPISODE_KEYS)
+_ARRAYS, _NAME, _SHAPE = 2, 1, 2
+_VALUES = {dtype: number for number, dtype in enumerate(WORLD_FIELDS, 3)}
+
+
+def encode_episodes(
+    values: Mapping[str, Shaped[np.ndarray, " e"]], outcomes: Sequence[str], dt_ns: int
+) -> list[tuple[int, int, bytes]]:
+    """(log time, environment, `resc.Episode`) of each entry; its time is that of its last step."""
+    for name, numbers in values.items():
+        limit = len(outcomes) if name == "outcome" else 2**32
+        if name != "return_" and (numbers.min() < 0 or numbers.max() >= limit):
+            raise RecordingError(
+                f"The '{name}' of an episode lies in [{numbers.min()}, {numbers.max()}]; expected "
+                f"0 to {limit - 1} (outcome counts the names that the recorder got as 'outcomes')."
+            )
+    records = fixed_fields(EPISODES, len(values["outcome"]))
+    for name in EPISODE_KEYS[:-1]:
+        records[name] = values[name]
+    endings = [delimited(_OUTCOME, name.encode()) for name in outcomes]
+    times = records["end_step"].astype(np.int64) * dt_ns + records["env_id"]
+    data = [r.tobytes() + endings[code] for r, code in zip(records, values["outcome"], strict=True)]
+    return list(zip(times.tolist(), records["env_id"].tolist(), data, strict=True))
+
+
+def decode_episodes(messages: Sequence[bytes]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The fixed-width fields of some episodes, one array each, and their outcomes."""
+    dtype = fixed_fields(EPISODES, 0).dtype
+    records = np.frombuffer(b"".join(message[: dtype.itemsize] for message in messages), dtype)
+    outcomes = []
+    for message in messages:
+        _, start = read_varint(message, dtype.itemsize + 1)  # a tag of one byte, then the length
+        outcomes.append(message[start:].decode())
+    return {name: records[name] for name in EPISODE_KEYS[:-1]}, outcomes
+
+
+def encode_world(arrays: Mapping[str, Tensor], start_step: int) -> bytes:
+    """One `resc.World`: named arrays of any shape."""
+    head = fixed_fields(WORLD, 1)
+    head["start_step"] = start_step
+    out = [head.tobytes()]
+    for name, tensor in arrays.items():
+        shape = struct.pack(f"<{tensor.ndim}I", *tensor.shape)
+        values = delimited(_VALUES[tensor.dtype], tensor.numpy().tobytes())
+        body = delimited(_NAME, name.encode()) + delimited(_SHAPE, shape) + values
+        out.append(delimited(_ARRAYS, body))
+    return b"".join(out)
+
+
+def decode_world(message: bytes) -> tuple[int, dict[str, Tensor]]:
+    """Start step and arrays of one `resc.World`."""
+    head = fixed_fields(WORLD, 0).dtype
+    start_step = int(np.frombuffer(message, head, 1)["start_step"][0])
+    arrays = {}
+    for _, body in _delimited_fields(message, head.itemsize):
+        parts = dict(_delimited_fields(body))
+        dtype = next(dtype for dtype, number in _VALUES.items() if number in parts)
+        shape = struct.unpack(f"<{len(parts[_SHAPE]) // 4}I", parts[_SHAPE])
+        values = np.ndarray(shape, numpy_type(dtype), parts[_VALUES[dtype]])
+        arrays[parts[_NAME].decode()] = torch.from_numpy(values.copy())
+    return start_step, arrays
+
+
+def _delimited_fields(data: bytes, position: int = 0) -> Iterator[tuple[int, bytes]]:
+    while position < len(data):
+        tag, position = read_varint(data, position)
+        length, position = read_varint(data, position)
+        yield tag >> 3, data[position : position + length]
+        position += length

@@ -1,0 +1,74 @@
+"""What every file of a recording says about itself: the metadata record `resc.spec`."""
+
+import json
+from dataclasses import asdict, dataclass, fields
+
+from resc.errors import ConfigError, RecordingError
+from resc.recording.schema import DTYPE_NAMES, Column, column_tree
+
+FORMAT = "1"
+"""Version of the file layout; a reader refuses any other."""
+
+
+def require(fine: bool, name: str, value: object, expected: str) -> None:
+    """Refuse a recorder argument unless `fine`."""
+    if not fine:
+        raise ConfigError(f"recorder.{name} is {value!r}; expected {expected}.")
+
+
+@dataclass(frozen=True)
+class Specification:
+    """Everything a reader must know to decode a file.
+
+    The files of one recorder share `session`; steps of different sessions are never joined.
+    """
+
+    columns: tuple[Column, ...]
+    num_envs: int
+    dt_s: float
+    outcomes: tuple[str, ...]
+    round_bits: int | None
+    every_n_batches: int
+    session: str
+
+    def __post_init__(self) -> None:
+        bits, period = self.round_bits, self.every_n_batches
+        require(len(self.columns) > 0, "columns", self.columns, "at least one")
+        column_tree(self.columns)  # refuses names that clash
+        require(bits is None or 1 <= bits <= 22, "round_bits", bits, "1 to 22, or null")
+        require(period >= 1, "every_n_batches", period, "1 or more")
+        # Times stay unique as long as the environment numbers fit into one control step.
+        limit = f"1 to the nanoseconds in dt_s ({self.dt_ns})"
+        require(1 <= self.num_envs <= self.dt_ns, "num_envs", self.num_envs, limit)
+
+    @property
+    def dt_ns(self) -> int:
+        """Control step [ns]; log_time = start_step * dt_ns + env_id."""
+        return round(self.dt_s * 1e9)
+
+    def to_metadata(self) -> dict[str, str]:
+        """The flat strings of an MCAP metadata record; all values but `format` are JSON."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values["columns"] = [
+            asdict(column) | {"dtype": column.dtype_name} for column in self.columns
+        ]
+        return {"format": FORMAT} | {name: json.dumps(value) for name, value in values.items()}
+
+    @classmethod
+    def from_metadata(cls, metadata: dict[str, str], origin: str) -> "Specification":
+        """The specification in a metadata record of the file `origin`."""
+        if metadata.get("format") != FORMAT:
+            raise RecordingError(
+                f"{origin} has recording format {metadata.get('format')}, and this RESC reads "
+                f"format {FORMAT}. Read it with the version that wrote it (metadata 'resc.run')."
+            )
+        values = {field.name: json.loads(metadata[field.name]) for field in fields(cls)}
+        values["columns"] = tuple(_column(**entry) for entry in values["columns"])
+        values["outcomes"] = tuple(values["outcomes"])
+        return cls(**values)
+
+
+def _column(
+    key: list[str], components: list[str], dtype: str, shape: list[int], **rest: str
+) -> Column:
+    return Column(tuple(key), tuple(components), DTYPE_NAMES[dtype], shape=tuple(shape), **rest)

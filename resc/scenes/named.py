@@ -1,0 +1,63 @@
+"""One fixed map with a start and a goal."""
+
+from collections.abc import Sequence
+
+import torch
+
+from resc.errors import ConfigError
+from resc.math.sampling import uniform
+from resc.scenes.layout import Layout
+
+
+class NamedScene:
+    """A fixed set of boxes; every sample starts within `jitter_m` of the start in x and y.
+
+    Args:
+        boxes: `[x, y, len_x, len_y]` from the lower-left corner [m].
+        start_m: x, y, z of the start.
+        goal_m: x, y, z of the goal.
+        origin_m: Lower-left corner of the map.
+        size_m: Extent of the map in x and y.
+        jitter_m: Greatest offset of the start along each axis.
+    """
+
+    def __init__(
+        self,
+        *,
+        boxes: Sequence[Sequence[float]],
+        start_m: Sequence[float],
+        goal_m: Sequence[float],
+        origin_m: Sequence[float],
+        size_m: Sequence[float],
+        jitter_m: float = 0.0,
+    ) -> None:
+        for number, box in enumerate(boxes):
+            if len(box) != 4 or min(box[2:]) <= 0:
+                raise ConfigError(f"boxes[{number}] is {list(box)}; expected [x, y, len_x, len_y] with lengths above zero.")
+        for name, point in (("start_m", start_m), ("goal_m", goal_m)):
+            inside = all(o <= c < o + s for c, o, s in zip(point, origin_m, size_m, strict=False))
+            if not inside:
+                raise ConfigError(
+                    f"{name} is {list(point)}, outside the map from {list(origin_m)}, {list(size_m)} m large; move it inside."
+                )
+        if jitter_m < 0:
+            raise ConfigError(f"jitter_m is {jitter_m}; expected zero or more.")
+        self.boxes = torch.tensor([list(box) for box in boxes], dtype=torch.float32).reshape(-1, 4)
+        self.start_m = torch.tensor(list(start_m), dtype=torch.float32)
+        self.goal_m = torch.tensor(list(goal_m), dtype=torch.float32)
+        self.origin_m = torch.tensor(list(origin_m), dtype=torch.float32)
+        self.size_m = torch.tensor(list(size_m), dtype=torch.float32)
+        self.jitter_m = jitter_m
+
+    def sample(self, count: int, generator: torch.Generator) -> Layout:
+        """The same map `count` times, starts jittered."""
+        offset = torch.zeros(count, 3)
+        offset[:, :2] = uniform((count, 2), -self.jitter_m, self.jitter_m, generator)
+        return Layout(
+            boxes_w=self.boxes.expand(count, -1, -1),
+            origin_w=self.origin_m.expand(count, -1),
+            size=self.size_m.expand(count, -1),
+            start_w=self.start_m + offset,
+            route_w=self.goal_m.expand(count, 1, -1),
+            route_length=torch.zeros(count, 1, dtype=torch.int64),
+        )

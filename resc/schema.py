@@ -1,0 +1,79 @@
+"""Run-level settings and their types; every other number lives with the part it configures."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+
+
+@dataclass
+class RunSchema:
+    """What `train.py` and `evaluate.py` share.
+
+    Args:
+        name: Part of the run's folder name.
+        seed: Of every random draw.
+        device: cpu or cuda.
+        threads: CPU threads of this process.
+        compile: Compile the step and the update; false is slower and easier to debug.
+        num_envs: Environments flown in parallel.
+        allowed_targets: Prefixes of `_target_` outside resc that may be built, e.g. [mypackage.].
+
+    The other fields are the configuration groups, filled from the folders of their names.
+    """
+
+    name: str = "run"
+    seed: int = 0
+    device: str = "cpu"
+    threads: int = 1
+    compile: bool = True
+    num_envs: int = 1024
+    allowed_targets: list[str] = field(default_factory=list)
+    env: dict[str, Any] = field(default_factory=dict)
+    vehicle: dict[str, Any] = field(default_factory=dict)
+    action: dict[str, Any] = field(default_factory=dict)
+    rate_loop: dict[str, Any] = field(default_factory=dict)
+    dynamics: dict[str, Any] = field(default_factory=dict)
+    task: dict[str, Any] = field(default_factory=dict)
+    scene: dict[str, Any] = field(default_factory=dict)
+    sensor: dict[str, Any] = field(default_factory=dict)
+    observation: dict[str, Any] = field(default_factory=dict)
+    termination: dict[str, Any] = field(default_factory=dict)
+    reward: dict[str, Any] = field(default_factory=dict)
+    randomization: dict[str, Any] = field(default_factory=dict)
+    metric: dict[str, Any] = field(default_factory=dict)
+    recorder: dict[str, Any] = field(default_factory=dict)
+    search: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class TrainSchema(RunSchema):
+    """What only training needs.
+
+    Args:
+        total_frames: Environment steps to train for.
+        pool_size: Scenes to draw episodes from.
+        renew_scenes: Scenes laid out anew after every batch.
+        evaluation_episodes: Fixed episodes flown at the end, on scenes never trained on.
+        evaluation_seed: Of those scenes; training seeds are never this one.
+        resume: Folder of an interrupted run to go on with.
+        checkpoint_every_s: Seconds between checkpoints.
+    """
+
+    name: str = "train"
+    num_envs: int = 2048
+    total_frames: int = 30_000_000
+    pool_size: int = 2048
+    renew_scenes: int = 64
+    evaluation_episodes: int = 1000
+    evaluation_seed: int = 1_000_003
+    resume: str | None = None
+    checkpoint_every_s: float = 60.0
+    model: dict[str, Any] = field(default_factory=dict)
+    algorithm: dict[str, Any] = field(default_factory=dict)
+    logger: dict[str, Any] = field(default_factory=dict)
+
+
+def register() -> None:
+    """Makes the schemas known to Hydra as `schema` of train.yaml and evaluate.yaml."""
+    ConfigStore.instance().store(name="schema", node=TrainSchema)

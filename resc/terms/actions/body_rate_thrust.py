@@ -1,0 +1,64 @@
+"""Collective thrust and body rates: the published action."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.term import Action, Context
+
+
+class BodyRateThrust(Action):
+    """Commanded body rates [rad/s] and collective thrust [N] from the action [p, q, r, thrust], clipped to [-1, 1].
+
+    omega = a_0..2 * limit;  F = m g ((a_3 + 1) / 2 (high - low) + low), so a_3 = 0 hovers when low + high = 2 (facts 2.3).
+    The action waits in a queue for as many steps as the environment's delay, at most `longest_delay_steps`.
+
+    Args:
+        rate_limit_radps: Largest roll, pitch and yaw rate.
+        thrust_range_g: Least and greatest collective thrust in units of the nominal weight.
+        gravity_mps2: Weight per mass in the thrust command; the published conversions use 9.7946.
+        longest_delay_steps: Length of the queue.
+    """
+
+    reads = (keys.ACTION, keys.ACTION_QUEUE, keys.ACTION_DELAY)
+    writes = (keys.ACTION_QUEUE, keys.BODY_RATE_COMMAND_B, keys.COLLECTIVE_THRUST)
+    width = 4
+
+    def __init__(
+        self,
+        *,
+        rate_limit_radps: Sequence[float],
+        thrust_range_g: Sequence[float],
+        gravity_mps2: float = 9.7946,
+        longest_delay_steps: int = 3,
+    ) -> None:
+        super().__init__()
+        low, high = thrust_range_g
+        if not 0 <= low < high:
+            raise ConfigError(f"thrust_range_g is [{low}, {high}]; expected 0 <= low < high.")
+        if longest_delay_steps < 0:
+            raise ConfigError(f"longest_delay_steps is {longest_delay_steps}; expected 0 or more.")
+        self.register_buffer("limit", torch.tensor(list(rate_limit_radps), dtype=torch.float32), persistent=False)
+        self.thrust_range_g = (low, high)
+        self.gravity_mps2 = gravity_mps2
+        self.dims = {"d": longest_delay_steps + 1}
+        self.initial = {keys.ACTION_QUEUE: 0.0}
+        self.weight_n = 0.0
+
+    def bind(self, context: Context) -> None:
+        """Takes the nominal weight: the command does not know of randomised masses."""
+        self.weight_n = context.vehicle.mass_kg * self.gravity_mps2
+
+    def compute(
+        self, action: Float[Tensor, "n 4"], queue: Float[Tensor, "n d 4"], delay: Float[Tensor, "n 1"]
+    ) -> tuple[Float[Tensor, "n d 4"], Float[Tensor, "n 3"], Float[Tensor, "n 1"]]:
+        queue = torch.cat((action.clamp(-1, 1).unsqueeze(1), queue[:, :-1]), 1)
+        age = torch.arange(queue.shape[1], device=queue.device)
+        applied = (queue * (age == delay).unsqueeze(-1)).sum(1)
+        low, high = self.thrust_range_g
+        thrust = self.weight_n * ((applied[:, 3:] + 1) / 2 * (high - low) + low)
+        return queue, applied[:, :3] * self.limit, thrust

@@ -1,0 +1,115 @@
+"""Running numbers of a flight: length, speed, acceleration, clearance, energy, limits."""
+
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from resc import keys
+from resc.math.geometry import distance, norm
+from resc.term import Context, Metric
+
+
+class PathLength(Metric):
+    """Length flown [m]: the sum of the steps."""
+
+    reads = (keys.POSITION_W, keys.previous(keys.POSITION_W))
+    unit = "m"
+
+    def compute(
+        self, so_far: Float[Tensor, "n 1"], position: Float[Tensor, "n 3"], previous: Float[Tensor, "n 3"]
+    ) -> Float[Tensor, "n 1"]:
+        return so_far + distance(position, previous)
+
+
+class TopSpeed(Metric):
+    """Greatest |v| [m/s]."""
+
+    reads = (keys.VELOCITY_W,)
+    unit = "m/s"
+
+    def compute(self, so_far: Float[Tensor, "n 1"], velocity: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
+        return torch.maximum(so_far, norm(velocity))
+
+
+class TopAcceleration(Metric):
+    """Greatest mean kinematic acceleration of a step [m/s^2]."""
+
+    reads = (keys.ACCELERATION_W,)
+    unit = "m/s^2"
+
+    def compute(self, so_far: Float[Tensor, "n 1"], acceleration: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
+        return torch.maximum(so_far, norm(acceleration))
+
+
+class LeastClearance(Metric):
+    """Least distance to an obstacle surface [m], exact."""
+
+    reads = (keys.SURFACE_CLEARANCE,)
+    unit = "m"
+    start = torch.inf
+
+    def compute(self, so_far: Float[Tensor, "n 1"], clearance: Float[Tensor, "n 1"]) -> Float[Tensor, "n 1"]:
+        return torch.minimum(so_far, clearance)
+
+
+class Energy(Metric):
+    """Integral of squared jerk [m^2/s^5], jerk being the change of mean acceleration from step to step over dt.
+
+    The first step has no predecessor and counts nothing. The value depends on the sampling step (reference: planners 0.3).
+    """
+
+    reads = (keys.ACCELERATION_W, keys.previous(keys.ACCELERATION_W), keys.CLOCK)
+    unit = "m^2/s^5"
+
+    def bind(self, context: Context) -> None:
+        """Takes the control period."""
+        self.dt_s = context.dt_s
+
+    def compute(
+        self,
+        so_far: Float[Tensor, "n 1"],
+        acceleration: Float[Tensor, "n 3"],
+        previous: Float[Tensor, "n 3"],
+        clock: Float[Tensor, "n 1"],
+    ) -> Float[Tensor, "n 1"]:
+        squared_jerk = ((acceleration - previous) / self.dt_s).square().sum(-1, keepdim=True)
+        return so_far + torch.where(clock > 1, squared_jerk * self.dt_s, 0.0)
+
+
+class StepsOverLimit(Metric):
+    """Number of steps that break at least one dynamic limit."""
+
+    reads = (keys.LIMIT_VIOLATIONS,)
+    unit = "steps"
+
+    def compute(self, so_far: Float[Tensor, "n 1"], violations: Float[Tensor, "n 1"]) -> Float[Tensor, "n 1"]:
+        return so_far + (violations > 0).to(so_far.dtype)
+
+
+class TimeWithin(Metric):
+    """First time [s] within `radius_m` of the last control point; infinite until then. Runs on after the finish."""
+
+    reads = (keys.POSITION_W, keys.ROUTE_W, keys.CLOCK)
+    unit = "s"
+    start = torch.inf
+    freezes_at_finish: ClassVar[bool] = False
+
+    def __init__(self, *, radius_m: float) -> None:
+        super().__init__()
+        self.radius_m = radius_m
+
+    def bind(self, context: Context) -> None:
+        """Takes the control period."""
+        self.dt_s = context.dt_s
+
+    def compute(
+        self,
+        so_far: Float[Tensor, "n 1"],
+        position: Float[Tensor, "n 3"],
+        route: Float[Tensor, "n k 3"],
+        clock: Float[Tensor, "n 1"],
+    ) -> Float[Tensor, "n 1"]:
+        near = distance(route[:, -1], position) <= self.radius_m
+        return torch.where(near & so_far.isinf(), clock * self.dt_s, so_far)

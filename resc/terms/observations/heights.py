@@ -1,0 +1,28 @@
+"""Distances to ceiling and ground."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from resc import keys
+from resc.term import Observation
+
+
+class Heights(Observation):
+    """Distance to the ceiling and to the ground [m] (facts 3, 20-21).
+
+    Args:
+        ceiling_m: Height of the ceiling.
+        scale: Factor on both.
+    """
+
+    reads = (keys.POSITION_W,)
+    columns = ("to_ceiling", "to_ground")
+
+    def __init__(self, *, ceiling_m: float = 2.0, scale: float = 1.0) -> None:
+        super().__init__(scale=scale)
+        self.ceiling_m = ceiling_m
+
+    def compute(self, position: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2"]:
+        height = position[:, 2]
+        return torch.stack((self.ceiling_m - height, height), -1)

@@ -1,0 +1,23 @@
+"""Tipping over."""
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.term import Termination
+
+
+class AttitudeLimit(Termination):
+    """|roll| or |pitch| exceeds `tilt_rad`."""
+
+    reads = (keys.EULER,)
+
+    def __init__(self, *, tilt_rad: float = 1.0472) -> None:
+        super().__init__()
+        if tilt_rad <= 0:
+            raise ConfigError(f"tilt_rad is {tilt_rad}; expected a number above zero.")
+        self.tilt_rad = tilt_rad
+
+    def compute(self, euler: Float[Tensor, "n 3"]) -> Bool[Tensor, "n 1"]:
+        return euler[:, :2].abs().amax(-1, keepdim=True) > self.tilt_rad

@@ -1,0 +1,23 @@
+"""Hitting an obstacle."""
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.term import Termination
+
+
+class Collision(Termination):
+    """The distance field at the vehicle falls below `radius_m` (facts 6.1)."""
+
+    reads = (keys.CLEARANCE,)
+
+    def __init__(self, *, radius_m: float = 0.3) -> None:
+        super().__init__()
+        if radius_m <= 0:
+            raise ConfigError(f"radius_m is {radius_m}; expected a number above zero.")
+        self.radius_m = radius_m
+
+    def compute(self, clearance: Float[Tensor, "n 1"]) -> Bool[Tensor, "n 1"]:
+        return clearance < self.radius_m
