@@ -1,32 +1,48 @@
-"""Which corners can a cell see?  Exact integer scans over per-map tables, the kernel of the visibility search.
+"""Which corners can a cell see?  Exact integer scans, the kernel of the visibility search.
 
-Cells are (x, y).  A direction is a pair (u, w) of integers, w >= 0 counted along the scan's own vertical axis; (-1, 0) and
-(1, 0) are the horizontals.  A *unit cell* is the square between four cell centres; it is a wall if one of the four is
-blocked.  A line that is not along an axis is free if it crosses no wall.
+Cells are (x, y).  A direction is a pair of integers (u, w), w >= 0 counted along the scan's own
+vertical axis; (-1, 0) and (1, 0) are the horizontals.  A *unit cell* is the square between four
+cell centres, (x, y) the lowest of them; it is a wall if one of the four is blocked.  A line that is
+not along an axis is free if it crosses no wall.
 
-A scan follows disjoint cones of directions row by row and cuts out the walls.  Walls are open sets, so a cone keeps its
-edges.  A cone of zero width is dropped: the cell it squeezes past is a corner, and the search goes on from there.  Lines
-along an axis may run between two walls, so they have a walk of their own.
+A scan follows disjoint cones of directions row by row and cuts out the walls.  Walls are open sets,
+so a cone keeps its edges.  A cone of zero width is dropped: the cells it squeezes past are corners,
+and the search goes on from there.  Lines along an axis may run between two walls, so these have a
+walk of their own.
 """
 
-from typing import no_type_check
+from typing import TypeAlias, no_type_check
 
 import numpy as np
+from jaxtyping import Bool, Int, Int32, Int64, UInt8
 from numba import njit
 
-from resc.planning.grid import CORNER_NN, CORNER_NP, CORNER_PN, CORNER_PP, _corner_mask
+from resc.planning.grid import (
+    CORNER_NN,
+    CORNER_NP,
+    CORNER_PN,
+    CORNER_PP,
+    Grid,
+    _corner_mask,
+)
 
-# Layers of the table, one value per cell; the three "next" layers look to larger x, the cell itself included.
+Table: TypeAlias = Int32[np.ndarray, "5 h columns"]
+Stack: TypeAlias = Int64[np.ndarray, "rows 5"]  # cones still to scan: row, left edge, right edge
+Found: TypeAlias = Int64[np.ndarray, "rows 2"]  # corners seen, (x, y)
+Cone: TypeAlias = tuple[int, int, int, int]  # directions of the left edge and of the right edge
+
+# Layers of a table, one value for each cell.  A "next" layer holds the first column from the cell
+# itself to larger x, or the width of the map if the row has no more.
 CODE, NEXT_WALL, NEXT_GAP, NEXT_CORNER, LABEL = range(5)
-BLOCKED = 16  # the bit of CODE above the four corner bits
+BLOCKED = 16  # in CODE, above the four corner bits
 
 _DIAGONAL, _ANTIDIAGONAL = CORNER_PP | CORNER_NN, CORNER_PN | CORNER_NP
 
 
 @njit(cache=True)
 @no_type_check
-def build_table(blocked):
-    """Table [5, h, w + 1] of one map; where a row has no wall or corner left, the entry is w."""
+def build_table(blocked: Grid) -> Table:
+    """Table of one map; it has one column more than the map, where every row ends."""
     height, width = blocked.shape
     table = np.empty((5, height, width + 1), np.int32)
     table[CODE, :, width] = BLOCKED
@@ -34,7 +50,7 @@ def build_table(blocked):
     corners = _corner_mask(blocked)
     wall = np.zeros(width, np.bool_)
     for y in range(height):
-        # The last row has no unit cells above it; its entries are never read.
+        # The last row has no unit cells above it; its walls are never read.
         here, above, corner = blocked[y], blocked[min(y + 1, height - 1)], corners[y]
         for x in range(width):
             table[CODE, y, x] = corner[x] + BLOCKED * here[x]
@@ -47,7 +63,13 @@ def build_table(blocked):
 
 @njit(cache=True)
 @no_type_check
-def _index_row(wall, corner, next_wall, next_gap, next_corner):
+def _index_row(
+    wall: Bool[np.ndarray, " w"],
+    corner: UInt8[np.ndarray, " w"],
+    next_wall: Int32[np.ndarray, " columns"],
+    next_gap: Int32[np.ndarray, " columns"],
+    next_corner: Int32[np.ndarray, " columns"],
+) -> None:
     width = len(wall)
     at_wall, at_gap, at_corner = width, width, width
     for n in range(width):
@@ -60,8 +82,8 @@ def _index_row(wall, corner, next_wall, next_gap, next_corner):
 
 @njit(cache=True)
 @no_type_check
-def _label(blocked, label):
-    """Number the cells so that two free ones share a number if and only if steps along rows and columns join them."""
+def _label(blocked: Grid, label: Int32[np.ndarray, "h columns"]) -> None:
+    """Number the cells: two free ones share a number iff steps along rows and columns join them."""
     height, width = blocked.shape
     root = np.arange(height * ((width + 1) // 2))  # of each run of free cells in a row
     runs = 0
@@ -73,13 +95,13 @@ def _label(blocked, label):
             elif run < 0:
                 run, runs = runs, runs + 1
             label[y, x] = run
-            # Once for each pair of runs that touch: where one of the two begins.
             if y > 0 and run >= 0 and label[y - 1, x] >= 0:
-                begins = x == 0 or label[y, x - 1] != run or label[y - 1, x - 1] != label[y - 1, x]
-                if begins:
-                    _join(root, run, label[y - 1, x])
+                below = label[y - 1, x]
+                # Once for each pair of runs that touch: at the first column they share.
+                if x == 0 or label[y, x - 1] != run or label[y - 1, x - 1] != below:
+                    _join(root, run, below)
     for run in range(runs):
-        root[run] = root[root[run]]  # a root is never larger than its runs, so it is final by now
+        root[run] = root[root[run]]  # a root is the least of its runs, so it is final by now
     for y in range(height):
         for x in range(width):
             label[y, x] = root[label[y, x]] if label[y, x] >= 0 else -1
@@ -87,7 +109,7 @@ def _label(blocked, label):
 
 @njit(cache=True)
 @no_type_check
-def _join(root, a, b):
+def _join(root: Int[np.ndarray, " runs"], a: int, b: int) -> None:
     while root[a] != a:
         root[a] = root[root[a]]
         a = root[a]
@@ -99,8 +121,8 @@ def _join(root, a, b):
 
 @njit(cache=True)
 @no_type_check
-def scan_all(table, x, y, stack, found, count):
-    """Append every corner that (x, y) sees and at which a shortest path may turn; return the new count."""
+def scan_all(table: Table, x: int, y: int, stack: Stack, found: Found, count: int) -> int:
+    """Append the corners that (x, y) sees, if a shortest path can turn there; new count."""
     for step in (-1, 1):
         count = scan_axis(table, x, y, step, 0, found, count)
         count = scan_axis(table, x, y, 0, step, found, count)
@@ -110,8 +132,10 @@ def scan_all(table, x, y, stack, found, count):
 
 @njit(cache=True)
 @no_type_check
-def scan_axis(table, x, y, step_x, step_y, found, count):
-    """Append the corners along one axis with an obstacle on the near side: only those can be turned at."""
+def scan_axis(
+    table: Table, x: int, y: int, step_x: int, step_y: int, found: Found, count: int
+) -> int:
+    """Append the corners along one axis that have their obstacle on the near side; new count."""
     if step_x:
         wanted = CORNER_NN | CORNER_NP if step_x > 0 else CORNER_PP | CORNER_PN
     else:
@@ -128,31 +152,38 @@ def scan_axis(table, x, y, step_x, step_y, found, count):
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def scan_cone(table, x, y, step, cone, stack, found, count):
-    """Append the corners in a closed cone of directions on one side (step = +-1) of row y, the axes left out.
-
-    `cone` is (u, w) of its left edge and (u, w) of its right edge.
-    """
+def scan_cone(
+    table: Table, x: int, y: int, step: int, cone: Cone, stack: Stack, found: Found, count: int
+) -> int:
+    """Append the corners in a closed cone on one side (step = +-1) of row y, axes left out."""
     height, width = table.shape[1], table.shape[2] - 1
-    top = _push(stack, 0, 0, cone[0], cone[1], cone[2], cone[3])
+    top = _push(stack, 0, 0, cone)
     while top:
         top -= 1
-        k, lu, lw, ru, rw = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4]
+        k, lu, lw, ru, rw = (
+            stack[top, 0],
+            stack[top, 1],
+            stack[top, 2],
+            stack[top, 3],
+            stack[top, 4],
+        )
         row = y + step * k
         left, first = _left_edge(x, k, lu, lw)
         right, last = _right_edge(x, k, ru, rw, width)
         while left < width and right >= 0:
             if k:
-                count = _corners_between(table, x, row, step, max(0, first), min(width - 1, last), found, count)
+                bounds = max(0, first), min(width - 1, last)
+                count = _corners_between(table, x, row, step, bounds, found, count)
             strip = row if step > 0 else row - 1
             row, k = row + step, k + 1
             if row < 0 or row >= height:
                 break
-            left_before, right_before = left, right
+            # In the strip up to the next row, unit cells low .. high - 1 touch the cone.
+            low, high = left, right
             left, first = _left_edge(x, k, lu, lw)
             right, last = _right_edge(x, k, ru, rw, width)
-            wall = table[NEXT_WALL, strip, max(0, min(left, left_before))]
-            high = min(width - 1, max(right, right_before))
+            low, high = max(0, min(low, left)), min(width - 1, max(high, right))
+            wall = table[NEXT_WALL, strip, low]
             if wall < high:
                 top = _cut(table, x, strip, k, (lu, lw, ru, rw), wall, high, stack, top)
                 break
@@ -161,35 +192,45 @@ def scan_cone(table, x, y, step, cone, stack, found, count):
 
 @njit(cache=True)
 @no_type_check
-def _cut(table, x, strip, k, cone, wall, high, stack, top):
-    """Push what the walls of one strip leave of a cone; the strip ends at row k, its first wall is given."""
+def _cut(
+    table: Table,
+    x: int,
+    strip: int,
+    k: int,
+    cone: Cone,
+    wall: int,
+    high: int,
+    stack: Stack,
+    top: int,
+) -> int:
+    """Push what is left of a cone at row k, after a strip whose first wall is given; new top."""
     lu, lw, ru, rw = cone
     while wall < high:
         # A run of walls hides the directions strictly between two of its corners.
         u, end = wall - x, table[NEXT_GAP, strip, wall]
         w = k if u >= 0 else k - 1
         if lu * w < u * lw:
-            top = _push(stack, top, k, lu, lw, u, w)
+            top = _push(stack, top, k, (lu, lw, u, w))
         lu = end - x
         lw = k - 1 if lu > 0 else k
         if lu * rw >= ru * lw:
             return top
         wall = table[NEXT_WALL, strip, end]
-    return _push(stack, top, k, lu, lw, ru, rw)
+    return _push(stack, top, k, (lu, lw, ru, rw))
 
 
 @njit(cache=True)
 @no_type_check
-def _push(stack, top, k, lu, lw, ru, rw):
+def _push(stack: Stack, top: int, k: int, cone: Cone) -> int:
     stack[top, 0] = k
-    stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4] = lu, lw, ru, rw
+    stack[top, 1], stack[top, 2], stack[top, 3], stack[top, 4] = cone
     return top + 1
 
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _left_edge(x, k, u, w):
-    """Columns next to where the left edge of a cone crosses row k: outside the cone, and inside."""
+def _left_edge(x: int, k: int, u: int, w: int) -> tuple[int, int]:
+    """Columns next to where a left edge crosses row k: outside the cone, and inside."""
     if w == 0:
         return (0, 0) if k else (x, x)
     column = (u * k) // w
@@ -198,8 +239,8 @@ def _left_edge(x, k, u, w):
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _right_edge(x, k, u, w, width):
-    """Columns next to where the right edge of a cone crosses row k: outside the cone, and inside."""
+def _right_edge(x: int, k: int, u: int, w: int, width: int) -> tuple[int, int]:
+    """Columns next to where a right edge crosses row k: outside the cone, and inside."""
     if w == 0:
         return (width - 1, width - 1) if k else (x, x)
     column = (u * k) // w
@@ -208,12 +249,15 @@ def _right_edge(x, k, u, w, width):
 
 @njit(cache=True)
 @no_type_check
-def _corners_between(table, x, row, step, first, last, found, count):
-    """Append the useful corners of a row from column `first` to `last`.
+def _corners_between(
+    table: Table, x: int, row: int, step: int, bounds: tuple[int, int], found: Found, count: int
+) -> int:
+    """Append the useful corners of a row between two columns, these included; new count.
 
-    A corner is useful where a line from the scan's origin passes beside its obstacle; a line into or out of the obstacle's own
-    quadrant is no part of a shortest path.
+    A corner is useful where a line from the scan's origin passes beside its obstacle.  A line into
+    or out of the obstacle's own quadrant is no part of a shortest path.
     """
+    first, last = bounds
     if first > last:
         return count
     at = table[NEXT_CORNER, row, first]

@@ -1,24 +1,44 @@
 """A* over convex corners: the compiled kernel of the visibility search.
 
-f = g + h with Euclidean lengths in float64; a heap entry that has become stale is skipped when it comes up.  Nothing is
-cleared between queries: the mark of a cell carries the number of the query that wrote it.
+f = g + h with Euclidean lengths in float64; a heap entry that has become stale is skipped when it
+comes up.  Nothing is cleared between queries: the mark of a cell carries the number of the query
+that wrote it.
 """
 
 from math import hypot, inf, sqrt
-from typing import no_type_check
+from typing import TypeAlias, no_type_check
 
 import numpy as np
+from jaxtyping import Float64, Int32
 from numba import njit
 
-from resc.planning.cone_scan import CODE, LABEL, scan_all, scan_axis, scan_cone
+from resc.planning.cone_scan import (
+    CODE,
+    LABEL,
+    Found,
+    Stack,
+    Table,
+    scan_all,
+    scan_axis,
+    scan_cone,
+)
 from resc.planning.grid import (
     CORNER_NN,
     CORNER_NP,
     CORNER_PN,
     CORNER_PP,
+    Grid,
     _line_is_free,
     _segment_is_free,
 )
+
+Cell: TypeAlias = tuple[int, int]
+End: TypeAlias = tuple[float, float, int, int]  # point [m], column, row
+Frame: TypeAlias = tuple[float, float, float]  # centre of cell (0, 0) and size of a cell [m]
+Work: TypeAlias = tuple[np.ndarray, ...]
+Keys: TypeAlias = Float64[np.ndarray, " heap"]
+Entries: TypeAlias = Int32[np.ndarray, " heap"]
+Points: TypeAlias = Float64[np.ndarray, "rows 2"]
 
 FOUND, UNREACHABLE, BUDGET, HEAP_FULL = range(4)
 
@@ -32,8 +52,8 @@ _SIDES = ((CORNER_PP, 1, 1), (CORNER_NN, -1, -1), (CORNER_PN, 1, -1), (CORNER_NP
 _SAME_POINT_CELLS = 1e-9
 
 
-def workspace(cells: int, heap: int) -> tuple[np.ndarray, ...]:
-    """Memory for queries on maps of up to `cells` cells with up to `heap` open corners; the marks must start at zero."""
+def workspace(cells: int, heap: int) -> Work:
+    """Memory for queries numbered from 1, on maps of up to `cells` cells."""
     rows = cells + 64  # a scan of a very small map still needs a few
     return (
         np.zeros(cells, np.int64),  # mark
@@ -49,11 +69,17 @@ def workspace(cells: int, heap: int) -> tuple[np.ndarray, ...]:
 
 @njit(cache=True)
 @no_type_check
-def find_path(blocked, table, start, goal, frame, limit, query, work):
-    """Status, number of points, length [m] and expansions; the points [m] are left in the workspace.
-
-    `start` and `goal` are (x_m, y_m, column, row); `frame` is the centre of cell (0, 0) and the size of a cell [m].
-    """
+def find_path(
+    blocked: Grid,
+    table: Table,
+    start: End,
+    goal: End,
+    frame: Frame,
+    limit: int,
+    query: int,
+    work: Work,
+) -> tuple[int, int, float, int]:
+    """Status, number of points, length [m], expansions; the points [m] are left in the workspace."""
     _, parent, _, _, _, _, _, points = work
     start_x, start_y, sx, sy = start
     goal_x, goal_y, gx, gy = goal
@@ -63,7 +89,8 @@ def find_path(blocked, table, start, goal, frame, limit, query, work):
     status, expansions = _search(blocked, table, (sx, sy), (gx, gy), limit, query, work)
     if status != FOUND:
         return status, 0, inf, expansions
-    count = _trace(parent, blocked.shape[1], sx, sy, gx, gy, points)
+    width = blocked.shape[1]
+    count = _trace(parent, width, sy * width + sx, gy * width + gx, points)
     points[0] = (start_x - x0) / size, (start_y - y0) / size
     points[count + 1] = (goal_x - x0) / size, (goal_y - y0) / size
     count = _join_ends(blocked, points, count)
@@ -79,8 +106,10 @@ def find_path(blocked, table, start, goal, frame, limit, query, work):
 
 @njit(cache=True)
 @no_type_check
-def _search(blocked, table, start, goal, limit, query, work):
-    """Status and number of expansions; the path is left in `parent`, from the goal back to the start."""
+def _search(
+    blocked: Grid, table: Table, start: Cell, goal: Cell, limit: int, query: int, work: Work
+) -> tuple[int, int]:
+    """Status and expansions; the path is left in `parent`, from the goal back to the start."""
     mark, parent, cost, key, entry, stack, found, _ = work
     width = blocked.shape[1]
     sx, sy = start
@@ -140,11 +169,11 @@ def _search(blocked, table, start, goal, limit, query, work):
 
 @njit(cache=True)
 @no_type_check
-def _scan_onward(table, x, y, dx, dy, stack, found):
-    """Corners that can follow (x, y) on a shortest path that arrives there in direction (dx, dy).
+def _scan_onward(table: Table, x: int, y: int, dx: int, dy: int, stack: Stack, found: Found) -> int:
+    """Number of corners found that can follow (x, y) on a shortest path arriving along (dx, dy).
 
-    It can only turn towards an obstacle that it passes beside: onward directions lie between its own and the side of that
-    obstacle, all within one quadrant.
+    The path can only turn towards an obstacle that it passes beside: onward directions lie between
+    its own and the side of that obstacle, all within one quadrant.
     """
     count = 0
     ahead = abs(dy)
@@ -164,13 +193,15 @@ def _scan_onward(table, x, y, dx, dy, stack, found):
 
 @njit(cache=True)
 @no_type_check
-def _trace(parent, width, sx, sy, gx, gy, points):
-    """Write the turning points, from the second row of `points` on; return how many."""
-    cell, first, count = gy * width + gx, sy * width + sx, 1
+def _trace(
+    parent: Int32[np.ndarray, " cells"], width: int, first: int, last: int, points: Points
+) -> int:
+    """Write start, turning points and goal from row 1 of `points` on; return how many."""
+    cell, count = last, 1
     while cell != first:
         count += 1
         cell = parent[cell]
-    cell = gy * width + gx
+    cell = last
     for n in range(count, 0, -1):
         points[n, 0], points[n, 1] = cell % width, cell // width
         cell = parent[cell]
@@ -188,8 +219,8 @@ def _trace(parent, width, sx, sy, gx, gy, points):
 
 @njit(cache=True)
 @no_type_check
-def _join_ends(blocked, points, count):
-    """Drop the centres of the end cells, rows 1 and `count`, where the exact ends around them make them needless."""
+def _join_ends(blocked: Grid, points: Points, count: int) -> int:
+    """Drop the centres of the end cells, rows 1 and `count`, if the exact ends make them needless."""
     if count == 1:  # both ends in one cell
         points[1] = points[2]
         return 2
@@ -207,8 +238,13 @@ def _join_ends(blocked, points, count):
 
 @njit(cache=True)
 @no_type_check
-def _replaces(blocked, point, centre, beyond):
-    """Whether the path may go from `point` straight to `beyond`, past the centre of its own cell."""
+def _replaces(
+    blocked: Grid,
+    point: Float64[np.ndarray, " 2"],
+    centre: Float64[np.ndarray, " 2"],
+    beyond: Float64[np.ndarray, " 2"],
+) -> bool:
+    """Whether the path may go from `point` straight to `beyond`, past the centre of its cell."""
     off_centre = max(abs(point[0] - centre[0]), abs(point[1] - centre[1]))
     return off_centre < _SAME_POINT_CELLS or _segment_is_free(
         blocked, point[0], point[1], beyond[0], beyond[1]
@@ -217,7 +253,7 @@ def _replaces(blocked, point, centre, beyond):
 
 @njit(cache=True)
 @no_type_check
-def _push(key, entry, size, f, cell):
+def _push(key: Keys, entry: Entries, size: int, f: float, cell: int) -> int:
     at = size
     while at:
         above = (at - 1) >> 1
@@ -231,7 +267,7 @@ def _push(key, entry, size, f, cell):
 
 @njit(cache=True)
 @no_type_check
-def _pop(key, entry, size):
+def _pop(key: Keys, entry: Entries, size: int) -> int:
     size -= 1
     f, cell = key[size], entry[size]
     at, below = 0, 1

@@ -1,62 +1,64 @@
 """Free space on a 2-D grid: inflation, convex corners, and the one rule for a free line.
 
-Lengths are in cells and the centre of the cell in column x and row y is the point (x, y).  The rule: a line is free if
-it keeps a Chebyshev distance of at least 1 from the centre of every blocked cell.  Touching is allowed.  The rule is
-symmetric, never enters the square of a blocked cell, never passes between two diagonal neighbours, and allows every
-step between two free cells that share an edge.
+Lengths are in cells; the centre of the cell in column x and row y is the point (x, y).  The rule: a
+line is free if it keeps a Chebyshev distance of at least 1 from the centre of every blocked cell;
+touching is allowed.  So a line never enters the square of a blocked cell, never passes between two
+diagonal neighbours, and may always step between two free cells that share an edge.
 """
 
 from math import ceil, floor, sqrt
-from typing import no_type_check
+from typing import TypeAlias, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 from numba import njit
 
-# A real-valued line may come this much nearer than 1 cell: rounding must not turn a touch into a hit.  Between two cell
-# centres the least true intrusion is 1 / length, so both rules agree on every map below 1e5 cells.
+Grid: TypeAlias = Bool[np.ndarray, "h w"]
+
+# A real-valued line may come this much nearer than 1 cell, or rounding would turn a touch into a
+# hit.  Between two cell centres the least true intrusion is about 1 / length, so on every map below
+# 1e5 cells the slack changes no answer.
 TOUCH_CELLS = 1e-6
 
-# Bits of a corner mask: the side on which the blocked diagonal neighbour lies.
+# Bits of a corner mask: the side (x, y) on which the blocked diagonal neighbour lies.
 CORNER_PP, CORNER_NN, CORNER_PN, CORNER_NP = 1, 2, 4, 8
 
 
-def inflate(occupancy: Bool[np.ndarray, "h w"], radius_cells: float) -> Bool[np.ndarray, "h w"]:
-    """Cells whose centre lies within `radius_cells` of the centre of an occupied cell.
+def inflate(occupancy: Grid, radius_cells: float) -> Grid:
+    """Cells whose centre is within `radius_cells` of the centre of an occupied cell.
 
-    Exact: squared distances are integers.  The guard keeps 0.3 m / 0.1 m, which is a little below 3, from losing a ring.
+    Exact: squared distances are integers.  The guard keeps the outermost ring of 0.3 m / 0.1 m,
+    which is a little below 3.
     """
     return _inflate(occupancy, floor(radius_cells * radius_cells + 1e-9))
 
 
-def corner_mask(blocked: Bool[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """Convex corners at each cell, one bit per side (`CORNER_PP` is +x +y, `CORNER_NP` is -x +y, ...).
+def corner_mask(blocked: Grid) -> UInt8[np.ndarray, "h w"]:
+    """Convex corners at each cell, one bit for each side (`CORNER_NP` is -x +y).
 
-    A free cell is a corner towards a side if its diagonal neighbour there is blocked and the two cells next to both are
-    free.  Only at such cells can a shortest path turn.  The border of the map makes no corners.
+    A free cell is a corner towards a side if its diagonal neighbour there is blocked and the two
+    cells next to both are free.  Only there can a shortest path turn.  The border makes no corners.
     """
     return _corner_mask(blocked)
 
 
-def line_is_free(blocked: Bool[np.ndarray, "h w"], a: tuple[int, int], b: tuple[int, int]) -> bool:
-    """Whether the line between the centres of cells `a` and `b`, each (x, y), is free; exact in integers."""
+def line_is_free(blocked: Grid, a: tuple[int, int], b: tuple[int, int]) -> bool:
+    """Whether the line between the centres of cells `a` and `b`, each (x, y), is free; exact."""
     return _line_is_free(blocked, int(a[0]), int(a[1]), int(b[0]), int(b[1]))
 
 
-def segment_is_free(
-    blocked: Bool[np.ndarray, "h w"], a: tuple[float, float], b: tuple[float, float]
-) -> bool:
-    """Whether the line between any two points `a` and `b`, each (x, y) in cells, is free to within `TOUCH_CELLS`."""
+def segment_is_free(blocked: Grid, a: tuple[float, float], b: tuple[float, float]) -> bool:
+    """Whether the line between any points `a` and `b`, each (x, y), is free up to `TOUCH_CELLS`."""
     return _segment_is_free(blocked, float(a[0]), float(a[1]), float(b[0]), float(b[1]))
 
 
 @njit(cache=True)
 @no_type_check
-def _inflate(occupancy, radius_squared):
+def _inflate(occupancy: Grid, radius_squared: int) -> Grid:
     height, width = occupancy.shape
     reach = int(sqrt(radius_squared + 0.5))
     far = height + width + reach + 1
-    gap = np.empty((height, width), np.int32)  # distance to the nearest occupied cell in the same row
+    gap = np.empty((height, width), np.int32)  # to the nearest occupied cell of the same row
     for y in range(height):
         last = far
         for x in range(width):
@@ -77,28 +79,29 @@ def _inflate(occupancy, radius_squared):
 
 @njit(cache=True)
 @no_type_check
-def _corner_mask(blocked):
+def _corner_mask(blocked: Grid) -> UInt8[np.ndarray, "h w"]:
     height, width = blocked.shape
     mask = np.zeros((height, width), np.uint8)
     for y in range(height - 1):
         for x in range(width - 1):
+            # Four cells with one blocked: the cell opposite to it is a corner.
             here, right = blocked[y, x], blocked[y, x + 1]
-            up, across = blocked[y + 1, x], blocked[y + 1, x + 1]
-            if here + right + up + across == 1:
+            above, across = blocked[y + 1, x], blocked[y + 1, x + 1]
+            if here + right + above + across == 1:
                 if across:
                     mask[y, x] |= CORNER_PP
                 elif here:
                     mask[y + 1, x + 1] |= CORNER_NN
-                elif up:
-                    mask[y, x + 1] |= CORNER_NP
-                else:
+                elif right:
                     mask[y + 1, x] |= CORNER_PN
+                else:
+                    mask[y, x + 1] |= CORNER_NP
     return mask
 
 
 @njit(cache=True)
 @no_type_check
-def _line_is_free(blocked, ax, ay, bx, by):
+def _line_is_free(blocked: Grid, ax: int, ay: int, bx: int, by: int) -> bool:
     if ay > by:
         ax, ay, bx, by = bx, by, ax, ay
     height, width = blocked.shape
@@ -108,9 +111,9 @@ def _line_is_free(blocked, ax, ay, bx, by):
     if dy == 0:
         return not blocked[ay, min(ax, bx) : max(ax, bx) + 1].any()
     for k in range(dy):
-        # Between rows k and k + 1 the line crosses the unit cells from `low` to `high`; all their corners must be free.
+        # The columns that the line spans between rows k and k + 1, rounded outwards.
         low = ax + min(k * dx, (k + 1) * dx) // dy
-        high = ax - (-max(k * dx, (k + 1) * dx)) // dy  # rounded up
+        high = ax - (-max(k * dx, (k + 1) * dx)) // dy
         for x in range(low, high + 1):
             if blocked[ay + k, x] or blocked[ay + k + 1, x]:
                 return False
@@ -119,16 +122,17 @@ def _line_is_free(blocked, ax, ay, bx, by):
 
 @njit(cache=True)
 @no_type_check
-def _segment_is_free(blocked, ax, ay, bx, by):
+def _segment_is_free(blocked: Grid, ax: float, ay: float, bx: float, by: float) -> bool:
     height, width = blocked.shape
-    reach = 1.0 - TOUCH_CELLS
-    inside = min(ax, bx, ay, by) >= -0.5 - TOUCH_CELLS
-    if not inside or max(ax, bx) > width - 0.5 + TOUCH_CELLS or max(ay, by) > height - 0.5 + TOUCH_CELLS:
+    reach, edge = 1.0 - TOUCH_CELLS, 0.5 + TOUCH_CELLS
+    if min(ax, bx, ay, by) < -edge or max(ax, bx) > width - 1 + edge:
+        return False
+    if max(ay, by) > height - 1 + edge:
         return False
     first = max(0, floor(min(ay, by) - reach) + 1)
     last = min(height - 1, ceil(max(ay, by) + reach) - 1)
     for y in range(first, last + 1):
-        # The part of the line within reach of row y, and the columns within reach of that part.
+        # The part of the line within reach of row y, then the columns within reach of that part.
         t0, t1 = 0.0, 1.0
         if ay != by:
             t0, t1 = (y - reach - ay) / (by - ay), (y + reach - ay) / (by - ay)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import Container, OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -60,7 +60,7 @@ class RolloutLog:
         return self._sources[0].attachments()
 
     @property
-    def config(self) -> DictConfig | ListConfig:
+    def config(self) -> Container:
         """The configuration of the run, from the attachment `config.yaml`."""
         if "config.yaml" not in self.attachments:
             raise RecordingError(

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -114,7 +114,8 @@ class Leaf(NamedTuple):
     component: int
 
 
-Tree = dict[str, "Tree | Leaf"]
+Tree = dict[str, Any]
+"""Names to trees or leaves."""
 
 
 def column_tree(columns: Sequence[Column]) -> Tree:

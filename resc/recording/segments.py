@@ -151,8 +151,8 @@ class Segments:
         head: FileHead,
         *,
         compression: str,
-        rotate_mb: float,
-        max_gb: float | None,
+        rotate_mb: int | float,
+        max_gb: int | float | None,
         when_full: Literal["stop", "delete_oldest"],
     ) -> None:
         require(compression in _COMPRESSION, "compression", compression, "zstd, lz4 or none")

@@ -164,7 +164,7 @@ def _index(file: IO[bytes]) -> _Contents | None:
         reader = make_reader(file)
         summary = reader.get_summary()
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-    except _CUT:
+    except (*_CUT, OSError):  # mcap seeks to before the beginning of a file that is too short
         return None
     if summary is None:
         return None

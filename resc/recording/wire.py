@@ -18,7 +18,7 @@ from resc.recording.schema import FIELDS, ROLLOUT, Column, Leaf, Tree, column_tr
 
 _Field = FieldDescriptorProto
 _LENGTH_DELIMITED = 2
-_FIXED_WIDTH = {
+_FIXED_WIDTH: dict[int, tuple[int, str]] = {
     _Field.TYPE_FIXED32: (5, "<u4"),
     _Field.TYPE_FIXED64: (1, "<u8"),
     _Field.TYPE_FLOAT: (5, "<f4"),
@@ -144,7 +144,7 @@ def encode_fragments(
     header["env_id"], header["batch"], header["start_step"] = np.arange(num_envs), batch, start_step
     for (column, component), offset in layout.offsets:
         rows.view(columns[column].numpy_dtype, offset, steps)[:] = arrays[column][:, :, component].T
-    data = memoryview(matrix).cast("B")
+    data = matrix.data.cast("B")
     return [data[i : i + size] for i in range(0, len(data), size)]
 
 

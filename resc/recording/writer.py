@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from tensordict import TensorDictBase
@@ -29,7 +29,7 @@ from resc.recording.batches import (
 )
 from resc.recording.schema import DTYPE_NAMES, EPISODES, ROLLOUT, WORLD, Column
 from resc.recording.segments import FileHead, Segments
-from resc.recording.specification import Specification
+from resc.recording.specification import Specification, require
 
 _QUEUE_DEPTH = 2
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -47,7 +47,7 @@ class RolloutRecorder:
     Args:
         compression: Codec of the chunks; lz4 costs half of zstd's time and 10 % more space.
         rotate_mb: Size [MB] at which a file is completed and the next one begun.
-        max_gb: Budget [GB] for all recordings in `directory`, checked after each batch.
+        max_gb: Budget [GB] for the recordings in `directory`, checked after each batch.
         when_full: At the budget, the next `put` raises, or the oldest complete files are deleted.
         round_bits: Mantissa bits kept of float32 values (1 to 22); None records them exactly.
         every_n_batches: Record one batch in so many; finished episodes are always listed.
@@ -64,8 +64,8 @@ class RolloutRecorder:
         self,
         *,
         compression: Literal["zstd", "lz4", "none"] = "zstd",
-        rotate_mb: float = 512,
-        max_gb: float | None = None,
+        rotate_mb: int | float = 512,
+        max_gb: int | float | None = None,
         when_full: Literal["stop", "delete_oldest"] = "stop",
         round_bits: int | None = None,
         every_n_batches: int = 1,
@@ -86,6 +86,8 @@ class RolloutRecorder:
             every_n_batches=every_n_batches,
             session=uuid.uuid4().hex,
         )
+        texts = all(isinstance(value, str) for value in metadata.values())
+        require(texts, "metadata", dict(metadata), "text values only")
         self._directory = Path(directory)
         self._batches = self._next_step = self._written = 0
         try:
@@ -160,7 +162,7 @@ class RolloutRecorder:
         if not self._reported:
             self._raise_error()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "RolloutRecorder":
         return self
 
     def __exit__(

@@ -1,0 +1,61 @@
+# `make help` lists the targets. `make train ARGS='seed=1 reward.progress.weight=1.0'` passes arguments on.
+
+VENV := .venv
+PY := $(VENV)/bin/python
+STAMP := $(VENV)/.installed
+PYTHON ?= python3.13 python3.12 python3.11 python3
+ARGS ?=
+
+.PHONY: demo train test check format lock clean help
+.DEFAULT_GOAL := help
+
+demo: $(STAMP) ## Fly the shipped policy through the default scene.
+	$(PY) evaluate.py policy=policies/obstacles $(ARGS)
+
+train: $(STAMP) ## Train a policy.
+	$(PY) train.py $(ARGS)
+
+test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
+	$(PY) -m pytest $(ARGS)
+
+check: $(STAMP) ## Check format, lint and types.
+	$(PY) -m ruff format --check .
+	$(PY) -m ruff check .
+	$(PY) -m basedpyright
+
+format: $(STAMP) ## Format the code.
+	$(PY) -m ruff format .
+	$(PY) -m ruff check --fix .
+
+lock: ## Write requirements.lock anew from pyproject.toml (needs uv).
+	@command -v uv >/dev/null || { echo "make lock needs uv on PATH; install it with: pip install uv" >&2; exit 1; }
+	uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes \
+		--no-emit-index-url --no-emit-find-links --no-header $(ARGS) --output-file requirements.lock pyproject.toml
+
+clean: ## Remove caches and build products; .venv, runs and policies stay.
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .cache
+	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +
+
+help: ## List the targets.
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
+
+# torch.compile turns the step into C++, so a compiler and Python's headers belong to the requirements.
+$(STAMP): requirements.lock
+	@set -e; \
+	fail() { echo "$$1" >&2; exit 1; }; \
+	python=; \
+	if ! $(PY) -m pip --version >/dev/null 2>&1; then \
+		for name in $(PYTHON); do \
+			if $$name -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then python=$$name; break; fi; \
+		done; \
+		test -n "$$python" || fail "No Python 3.11 or newer found; install one (Debian: apt install python3) or name it: make PYTHON=/path/to/python3."; \
+		$$python -c 'import ensurepip, venv' 2>/dev/null || fail "$$python has no venv module; install it (Debian: apt install python3-venv)."; \
+		$$python -c 'import os, sysconfig; open(os.path.join(sysconfig.get_path("include"), "Python.h"))' 2>/dev/null \
+			|| fail "$$python has no Python.h, which torch.compile needs; install it (Debian: apt install python3-dev)."; \
+	fi; \
+	command -v "$${CXX:-g++}" >/dev/null || fail "No C++ compiler found, which torch.compile needs; install it (Debian: apt install g++) or name one: CXX=clang++."; \
+	echo "Installing requirements.lock into $(VENV): about 3 minutes and 6 GB, since torch brings CUDA."; \
+	test -z "$$python" || $$python -m venv --clear $(VENV); \
+	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock; \
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .; \
+	touch $@

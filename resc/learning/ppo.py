@@ -1,0 +1,277 @@
+"""Proximal policy optimisation on `QuadrotorEnv`, top to bottom: collect, estimate, update.
+
+A plain loop over TorchRL's loss and advantage functions. TorchRL's collector costs milliseconds per batched step whatever the
+environment does, so the rollout calls `advance` and `restart` directly; acting and updating are compiled.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value.functional import generalized_advantage_estimate
+
+from resc import keys
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.errors import ConfigError, NumericalError
+from resc.learning.networks import Networks
+from resc.learning.statistics import EpisodeStatistics
+from resc.math.sampling import generator_for
+
+RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
+"""State before each step that a rollout keeps, beside what the update needs."""
+RENEWED = "scene_renewed"
+"""Outcome of an episode cut because its scene was laid out anew."""
+
+
+@dataclass(frozen=True)
+class PpoSettings:
+    """Hyper-parameters of PPO (`conf/algorithm/`).
+
+    Args:
+        steps: Control steps per environment and batch.
+        minibatch: Samples per gradient step.
+        epochs: Passes over a batch.
+        learning_rate: Of Adam, at the start.
+        final_learning_rate: At the end; linear in between.
+        gamma: Discount per step.
+        gae_lambda: Of the generalised advantage estimate.
+        clip_epsilon: Clip of the probability ratio.
+        entropy_coefficient: Weight of the entropy bonus.
+        value_coefficient: Weight of the value loss.
+        max_grad_norm: Clip of the gradient's norm.
+        reward_scale: Factor on rewards before the value function sees them, so that its targets are of order one.
+        target_kl: Skips the rest of a batch's epochs once the policy has moved this far; null never does.
+    """
+
+    steps: int
+    minibatch: int
+    epochs: int
+    learning_rate: float
+    final_learning_rate: float
+    gamma: float
+    gae_lambda: float
+    clip_epsilon: float
+    entropy_coefficient: float
+    value_coefficient: float
+    max_grad_norm: float
+    reward_scale: float
+    target_kl: float | None = None
+
+    def __post_init__(self) -> None:
+        if min(self.steps, self.minibatch, self.epochs) < 1:
+            raise ConfigError("steps, minibatch and epochs must be at least 1.")
+        if not 0 < self.gamma <= 1 or not 0 <= self.gae_lambda <= 1:
+            raise ConfigError(f"gamma is {self.gamma} and gae_lambda {self.gae_lambda}; expected shares up to 1.")
+        if min(self.learning_rate, self.clip_epsilon, self.reward_scale, self.max_grad_norm) <= 0:
+            raise ConfigError("learning_rate, clip_epsilon, reward_scale and max_grad_norm must be above zero.")
+
+
+class Ppo:
+    """Trains the networks on the environment, one batch per `iterate`.
+
+    Args:
+        env: The batch of environments; reset on construction.
+        networks: Policy and value function.
+        settings: Hyper-parameters.
+        total_frames: Environment steps that the learning-rate schedule spans.
+        seed: Of exploration noise and minibatch order.
+        compile: Compile acting and the loss.
+        renew_scenes: Scenes of the pool laid out anew after each batch.
+    """
+
+    def __init__(
+        self,
+        env: QuadrotorEnv,
+        networks: Networks,
+        settings: PpoSettings,
+        *,
+        total_frames: int,
+        seed: int = 0,
+        compile: bool = True,
+        renew_scenes: int = 0,
+    ) -> None:
+        self.env = env
+        self.networks = networks.to(env.device)
+        self.settings = settings
+        self.total_frames = total_frames
+        self.renew_scenes = renew_scenes
+        self.frames = 0
+        self.iteration = 0
+        if settings.minibatch > settings.steps * env.num_envs:
+            raise ConfigError(
+                f"algorithm.minibatch is {settings.minibatch}, more than a batch of {settings.steps} steps x "
+                f"{env.num_envs} environments; lower it."
+            )
+        self.loss = ClipPPOLoss(
+            networks.actor,
+            networks.critic,
+            clip_epsilon=settings.clip_epsilon,
+            entropy_coeff=settings.entropy_coefficient,
+            critic_coeff=settings.value_coefficient,
+            loss_critic_type="l2",
+            normalize_advantage=True,
+        ).to(env.device)
+        self.parameters = [p for p in self.loss.parameters() if p.requires_grad]
+        self.optimizer = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5, fused=True)
+        self.noise = generator_for(seed, "exploration", env.device)
+        self.order = generator_for(seed, "minibatches")
+        self._act: Callable[[Tensor, Tensor], tuple[Tensor, ...]] = self._act_eagerly
+        self._losses: Callable[[TensorDict], tuple[Tensor, ...]] = self._losses_eagerly
+        if compile:
+            self._act = torch.compile(self._act_eagerly, fullgraph=True, dynamic=False)
+            self._losses = torch.compile(self._losses_eagerly, dynamic=False)
+        self.batch = self._allocate()
+        self.statistics = EpisodeStatistics(env.num_envs, (*env.stages.outcomes, RENEWED), env.device)
+        env.restart(torch.arange(env.num_envs))
+
+    @property
+    def batch_frames(self) -> int:
+        """Environment steps per batch."""
+        return self.settings.steps * self.env.num_envs
+
+    def iterate(self) -> dict[str, float]:
+        """Collects one batch and updates on it; returns the figures to log."""
+        self.collect()
+        self.estimate_advantages()
+        figures = self.update()
+        self.frames += self.batch_frames
+        self.iteration += 1
+        return figures
+
+    @torch.no_grad()
+    def collect(self) -> None:
+        """Flies `steps` control steps in all environments into `batch`, then renews scenes."""
+        batch, env = self.batch, self.env
+        self.statistics.begin_batch(self.iteration * self.settings.steps)
+        self._terminal: list[tuple[int, Tensor, Tensor]] = []
+        for t in range(self.settings.steps):
+            row = batch[t]
+            noise = torch.randn(row["action"].shape, generator=self.noise, device=env.device)
+            action, log_prob, value = self._act(env.observation, noise)
+            row["observation"].copy_(env.observation)
+            row["action"].copy_(action)
+            row["action_log_prob"].copy_(log_prob)
+            row["state_value"].copy_(value)
+            for key in RECORDED:
+                row[key].copy_(env.value_of(key))
+            out = env.advance(action)
+            for name in ("reward", "terminated", "truncated", "done", "reward_terms"):
+                row[name].copy_(getattr(out, name))
+            self.statistics.step(t, out, env.value_of(keys.SCENE_INDEX))
+            rows = out.done[:, 0].nonzero()[:, 0]
+            if len(rows):
+                self._terminal.append((t, rows, out.observation[rows]))
+                env.restart(rows)
+        if self.renew_scenes:
+            self._renew()
+
+    @torch.no_grad()
+    def estimate_advantages(self) -> None:
+        """Generalised advantages and value targets; truncated episodes bootstrap from their last observation."""
+        batch, settings = self.batch, self.settings
+        last_value = self._act(self.env.observation, torch.zeros_like(batch["action"][0]))[2]
+        next_value = torch.cat((batch["state_value"][1:], last_value.unsqueeze(0)))
+        for t, rows, observation in self._terminal:
+            next_value[t, rows] = self.networks.critic.module(observation)
+        advantage, target = generalized_advantage_estimate(
+            settings.gamma,
+            settings.gae_lambda,
+            batch["state_value"],
+            next_value,
+            batch["reward"] * settings.reward_scale,
+            done=batch["done"],
+            terminated=batch["terminated"],
+            time_dim=0,
+        )
+        batch["advantage"].copy_(advantage)
+        batch["value_target"].copy_(target)
+
+    def update(self) -> dict[str, float]:
+        """`epochs` passes of clipped policy and value gradient steps over the batch."""
+        settings = self.settings
+        rate = self._learning_rate()
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        names = ("observation", "action", "action_log_prob", "advantage", "value_target")
+        flat = {name: self.batch[name].flatten(0, 1) for name in names}
+        sums = torch.zeros(5, device=self.env.device)
+        count = 0
+        for _ in range(settings.epochs):
+            order = torch.randperm(self.batch_frames, generator=self.order).to(self.env.device)
+            for index in order[: self.batch_frames // settings.minibatch * settings.minibatch].split(settings.minibatch):
+                minibatch = TensorDict({name: value[index] for name, value in flat.items()}, batch_size=[len(index)])
+                sums += self._gradient_step(minibatch)
+                count += 1
+            if settings.target_kl and float(sums[3] / count) > settings.target_kl:
+                break
+        policy, value, entropy, kl, clipped = (sums / count).tolist()
+        if not policy + value < float("inf"):
+            raise NumericalError("The loss is not finite; lower algorithm.learning_rate or algorithm.reward_scale.")
+        return {
+            "loss/policy": policy,
+            "loss/value": value,
+            "policy/entropy": entropy,
+            "policy/kl": kl,
+            "policy/clipped": clipped,
+            "policy/std": float(self.networks.head.log_std.detach().exp().mean()),
+            "optimizer/learning_rate": rate,
+        }
+
+    def _gradient_step(self, minibatch: TensorDict) -> Tensor:
+        loss, *figures = self._losses(minibatch)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.parameters, self.settings.max_grad_norm, foreach=True)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        return torch.stack([figure.detach() for figure in figures])
+
+    def _losses_eagerly(self, minibatch: TensorDict) -> tuple[Tensor, ...]:
+        out = self.loss(minibatch)
+        total = out["loss_objective"] + out["loss_critic"] + out["loss_entropy"]
+        parts = (out["loss_objective"], out["loss_critic"], out["entropy"], out["kl_approx"], out["clip_fraction"])
+        return total, *parts
+
+    def _act_eagerly(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
+        """Action, its log probability and the value [n, 1]."""
+        mean, std = self.networks.head(observation)
+        action = mean + std * noise
+        log_prob = (-0.5 * noise.square() - std.log() - 0.9189385).sum(-1)  # 0.5 log(2 pi)
+        return action, log_prob, self.networks.critic.module(observation)
+
+    def _renew(self) -> None:
+        """Lays scenes out anew; the few episodes still flying in them are truncated."""
+        rows = self.env.renew(self.renew_scenes)
+        rows = rows[~self.batch["done"][-1, rows, 0]]
+        last = self.settings.steps - 1
+        self.batch["done"][last, rows] = True
+        self.batch["truncated"][last, rows] = True
+        self._terminal.append((last, rows, self.env.observation[rows]))
+        self.statistics.cut(last, rows, RENEWED)
+        if len(rows):
+            self.env.restart(rows)
+
+    def _learning_rate(self) -> float:
+        share = min(self.frames / self.total_frames, 1.0)
+        return self.settings.learning_rate + share * (self.settings.final_learning_rate - self.settings.learning_rate)
+
+    def _allocate(self) -> TensorDict:
+        """The batch's memory, [steps, n]."""
+        shape = (self.settings.steps, self.env.num_envs)
+        device = self.env.device
+        flags = {name: torch.zeros(*shape, 1, dtype=torch.bool, device=device) for name in ("terminated", "truncated", "done")}
+        widths = {
+            "observation": self.env.observation_width,
+            "action": self.env.action_spec.shape[-1],
+            "reward": 1,
+            "state_value": 1,
+            "advantage": 1,
+            "value_target": 1,
+            "reward_terms": len(self.env.stages.terms.rewards),
+        }
+        floats = {name: torch.zeros(*shape, width, device=device) for name, width in widths.items()}
+        states = {key: torch.zeros(*shape, *keys.DECLARED[key].shape, device=device) for key in RECORDED}
+        log_prob = {"action_log_prob": torch.zeros(shape, device=device)}
+        return TensorDict({**flags, **floats, **states, **log_prob}, batch_size=shape, device=device)

@@ -1,0 +1,124 @@
+"""Routes for scenes that only know their goal: shortest path, then control points along it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from resc.errors import ConfigError, PlanningError
+from resc.planning.control_points import control_points
+from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
+from resc.scenes.layout import Layout, rasterize
+
+MAPS_KEPT = 64
+"""Prepared maps kept for the next call; a run over random maps meets more than memory should hold."""
+
+
+class RoutePlanner:
+    """Fills in the routes of a batch of scenes, from each start to each goal.
+
+    `paths` holds the planned path of every scene of the last call. A map is rasterised and prepared once, however many
+    scenes share it. The control points keep the goal's height.
+
+    Args:
+        clearance_m: What the path keeps from occupied cells.
+        max_expansions: Work after which the search of one path gives up.
+        spacing_m: Least and greatest distance between control points.
+        nominal_m: Distance aimed at on long lines.
+        rule: How control points are placed; `released` imitates the released code.
+        resolution_m: Edge of a map cell; comes from the environment.
+    """
+
+    def __init__(
+        self,
+        *,
+        clearance_m: float,
+        max_expansions: int,
+        spacing_m: Sequence[float],
+        nominal_m: float,
+        rule: Literal["visible", "released"] = "visible",
+        resolution_m: float,
+    ) -> None:
+        if max_expansions < 1:
+            raise ConfigError(f"max_expansions is {max_expansions}; expected at least 1.")
+        if len(spacing_m) != 2 or not 0 < spacing_m[0] < spacing_m[1]:
+            raise ConfigError(f"spacing_m is {list(spacing_m)}; expected [least, greatest].")
+        if nominal_m <= 0:
+            raise ConfigError(f"nominal_m is {nominal_m}; expected a number above zero.")
+        if rule not in ("visible", "released"):
+            raise ConfigError(f"rule is '{rule}'; expected 'visible' or 'released'.")
+        self.search = VisibilitySearch(clearance_m, resolution_m, max_expansions)
+        self.spacing_m = (float(spacing_m[0]), float(spacing_m[1]))
+        self.nominal_m = nominal_m
+        self.rule = rule
+        self.paths: list[PlannedPath] = []
+        self._maps: dict[bytes, PreparedMap] = {}
+
+    def __call__(self, layout: Layout, name: str = "scene") -> Layout:
+        """The same scenes with routes; a route that is already there is replaced.
+
+        Raises:
+            PlanningError: A start or goal lies outside the map or in an obstacle, or no path joins them; says which scene.
+        """
+        self.paths, routes = [], []
+        for number in range(len(layout)):
+            try:
+                path, points = self._plan(layout, number)
+            except PlanningError as error:
+                raise PlanningError(f"{name}, flight {number}: {error}") from None
+            self.paths.append(path)
+            routes.append(points)
+        length = torch.tensor([[len(route)] for route in routes], dtype=torch.int64)
+        longest = int(length.max())
+        padded = [torch.cat((r, r[-1:].expand(longest - len(r), -1))) for r in routes]
+        return replace(layout, route_w=torch.stack(padded), route_length=length)
+
+    def _plan(self, layout: Layout, number: int) -> tuple[PlannedPath, Float[Tensor, "k 3"]]:
+        prepared = self._prepare(layout, number)
+        start = layout.start_w[number].tolist()
+        goal = layout.route_w[number, max(0, int(layout.route_length[number, 0]) - 1)].tolist()
+        origin = tuple(layout.origin_w[number].tolist())
+        path = self.search.plan(prepared, (start[0], start[1]), (goal[0], goal[1]), origin)
+        self._require_found(path, start, goal)
+        points = control_points(
+            path.points_m,
+            blocked=prepared.blocked,
+            origin_xy_m=origin,
+            resolution_m=self.search.resolution_m,
+            spacing_m=self.spacing_m,
+            nominal_m=self.nominal_m,
+            height_m=goal[2],
+            rule=self.rule,
+        )
+        return path, torch.as_tensor(points, dtype=torch.float32)
+
+    def _require_found(self, path: PlannedPath, start: list[float], goal: list[float]) -> None:
+        ends = f"from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) m"
+        if path.status == "unreachable":
+            raise PlanningError(
+                f"No path {ends} keeps {self.search.clearance_m:g} m from the obstacles; "
+                "move the goal or lower search.clearance_m."
+            )
+        if path.status == "budget":
+            raise PlanningError(
+                f"The search {ends} gave up after {path.expansions} expansions; "
+                "raise search.max_expansions."
+            )
+
+    def _prepare(self, layout: Layout, number: int) -> PreparedMap:
+        """The map of one scene, from the cache if the same boxes were met before."""
+        of = slice(number, number + 1)
+        boxes, origin, size = layout.boxes_w[of], layout.origin_w[of], layout.size[of]
+        key = b"".join(np.ascontiguousarray(t.numpy()).tobytes() for t in (boxes, origin, size))
+        if key not in self._maps:
+            resolution = self.search.resolution_m
+            width, height = (size[0] / resolution).round().int().tolist()
+            occupied = rasterize(boxes, origin, (height, width), resolution)[0]
+            if len(self._maps) >= MAPS_KEPT:
+                self._maps.pop(next(iter(self._maps)))
+            self._maps[key] = self.search.prepare(occupied.numpy())
+        return self._maps[key]

@@ -1,0 +1,328 @@
+"""Reading: episodes, environments, worlds, files that are cut or foreign, the documentation."""
+
+import random
+import re
+import time
+from pathlib import Path
+
+import pytest
+import torch
+import zstandard
+from mcap.writer import Writer
+from tensordict import TensorDict
+
+from resc.errors import RecordingError
+from resc.recording import Column, RolloutLog, RolloutRecorder
+
+OUTCOMES = ("success", "collision", "time_limit")
+COLUMNS = (
+    Column(("state", "position_w"), ("x", "y", "z"), torch.float32, "m", "w"),
+    Column(("next", "reward"), (), torch.float32),
+    Column(("step",), (), torch.int32),
+    Column(("done",), (), torch.bool),
+)
+
+
+def recorder(directory, num_envs, **options):
+    return RolloutRecorder(
+        directory=directory,
+        columns=COLUMNS,
+        dt_s=0.02,
+        num_envs=num_envs,
+        metadata={"task": "racing"},
+        attachments={"config.yaml": b"env:\n  num_envs: 4\n", "notes.txt": b"hello"},
+        outcomes=OUTCOMES,
+        **options,
+    )
+
+
+def rollout(steps, num_envs, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    shape = (steps, num_envs)
+    return TensorDict(
+        {
+            "state": {"position_w": torch.randn(*shape, 3, generator=generator)},
+            "next": {"reward": torch.randn(*shape, 1, generator=generator)},
+            "step": torch.arange(steps, dtype=torch.int32)[:, None, None].expand(*shape, 1),
+            "done": torch.rand(*shape, 1, generator=generator) < 0.05,
+        },
+        shape,
+    )
+
+
+def finished(whole, lower, upper):
+    """The episodes that end in a part of a rollout, one for each done flag."""
+    done = whole["done"][..., 0]
+    entries = []
+    for step, env_id in done[lower:upper].nonzero().tolist():
+        end = step + lower
+        earlier = done[:end, env_id].nonzero().flatten().tolist()
+        start = earlier[-1] + 1 if earlier else 0
+        total = whole["next", "reward"][start : end + 1, env_id].sum()
+        outcome = end % 3
+        number, length = len(earlier), end + 1 - start
+        scene, success = env_id + 10, outcome == 0
+        entry = (env_id, number, start, end, length, scene, outcome, float(total), success)
+        entries.append(entry)
+    names = ("env_id", "episode", "start_step", "end_step", "length", "scene", "outcome")
+    columns = list(zip(*entries, strict=True)) or [()] * 9
+    data = {n: torch.tensor(v, dtype=torch.int64) for n, v in zip(names, columns[:7], strict=True)}
+    data["return_"] = torch.tensor(columns[7], dtype=torch.float32)
+    data["success"] = torch.tensor(columns[8], dtype=torch.bool)
+    return TensorDict(data, [len(entries)])
+
+
+def put_all(target, whole, steps_per_batch, first_step=0):
+    for lower in range(0, whole.shape[0], steps_per_batch):
+        upper = lower + steps_per_batch
+        episodes = finished(whole, lower, upper)
+        target.put(whole[lower:upper], first_step + lower, episodes)
+
+
+def test_episodes_agree_with_the_done_flags(tmp_path):
+    whole = rollout(96, 6)
+    with recorder(tmp_path, 6) as target:
+        put_all(target, whole, 16)
+    log = RolloutLog(tmp_path)
+    assert len(log.episodes) == int(whole["done"].sum())
+    for key, expected in torch.cat([finished(whole, i, i + 16) for i in range(0, 96, 16)]).items():
+        torch.testing.assert_close(log.episodes[key], expected, rtol=0, atol=0)
+    for index in range(len(log.episodes)):
+        entry, episode = log.episodes[index], log.episode(index)
+        steps = torch.arange(int(entry["start_step"]), int(entry["end_step"]) + 1)
+        assert torch.equal(episode["step"].flatten().long(), steps)
+        assert episode["done"].flatten().tolist() == [False] * (len(steps) - 1) + [True]
+        total = episode["next", "reward"].sum()
+        torch.testing.assert_close(total, entry["return_"], rtol=1e-5, atol=1e-5)
+        assert log.outcomes[entry["outcome"]] == OUTCOMES[int(entry["end_step"]) % 3]
+
+
+def test_listing_episodes_reads_no_rollout_chunk(tmp_path, monkeypatch):
+    whole = rollout(512, 256)
+    with recorder(tmp_path, 256, rotate_mb=512) as target:
+        put_all(target, whole, 256)
+    log, sizes = RolloutLog(tmp_path), []
+    decompress = zstandard.decompress
+
+    def counting(data, size):
+        sizes.append(size)
+        return decompress(data, size)
+
+    monkeypatch.setattr(zstandard, "decompress", counting)
+    assert len(log.episodes) == int(whole["done"].sum())
+    assert len(sizes) == 2  # one chunk of episodes for each batch
+
+
+def test_one_environment_takes_at_most_two_chunks_of_a_batch(tmp_path, monkeypatch):
+    whole = rollout(512, 1024)
+    with recorder(tmp_path, 1024) as target:
+        target.put(whole[:256], 0)
+        target.put(whole[256:], 256)
+    log, count = RolloutLog(tmp_path), []
+    decompress = zstandard.decompress
+    monkeypatch.setattr(
+        zstandard, "decompress", lambda data, size: count.append(size) or decompress(data, size)
+    )
+    for env_id in (0, 511, 1023):
+        count.clear()
+        single = log.env(env_id)
+        assert len(count) <= 4
+        assert torch.equal(single["state", "position_w"], whole["state", "position_w"][:, env_id])
+    count.clear()
+    log.to_tensordict()
+    assert len(count) >= 8
+
+
+def test_episodes_and_environments_span_rotated_files(tmp_path):
+    whole = rollout(120, 8)
+    whole["done"].zero_()
+    whole["done"][100, 3] = True
+    with recorder(tmp_path, 8, rotate_mb=0.002) as target:
+        put_all(target, whole, 15)
+    log = RolloutLog(tmp_path)
+    assert len(log.files) == 8
+    assert torch.equal(log.env(3)["step"], whole["step"][:, 3])
+    assert torch.equal(log.episode(0)["step"].flatten(), torch.arange(101, dtype=torch.int32))
+    assert torch.equal(log.episode(-1)["step"].flatten(), torch.arange(101, dtype=torch.int32))
+
+
+def test_a_pattern_or_one_file_selects_part_of_a_run(tmp_path):
+    whole = rollout(60, 8)
+    with recorder(tmp_path, 8, rotate_mb=0.002) as target:
+        put_all(target, whole, 15)
+    assert RolloutLog(str(tmp_path / "*_0000[12].mcap")).start_steps == [15, 30]
+    assert RolloutLog(tmp_path / "rollouts_00003.mcap").start_steps == [45]
+
+
+def test_an_episode_that_is_only_partly_recorded_is_an_error(tmp_path):
+    whole = rollout(60, 2)
+    whole["done"].zero_()
+    whole["done"][[5, 40], 0] = True
+    with recorder(tmp_path, 2, every_n_batches=2) as target:
+        put_all(target, whole, 10)
+    log = RolloutLog(tmp_path)
+    assert log.start_steps == [0, 20, 40]
+    assert len(log.episodes) == 2
+    assert len(log.episode(0)) == 6
+    with pytest.raises(RecordingError, match="15 steps are recorded"):
+        log.episode(1)
+
+
+def test_sessions_in_one_directory_are_not_mixed(tmp_path):
+    runs = [rollout(40, 3, seed) for seed in range(2)]
+    for whole in runs:
+        with recorder(tmp_path, 3) as target:
+            put_all(target, whole, 20)
+    log = RolloutLog(tmp_path)
+    assert [path.name for path in log.files] == ["rollouts_00000.mcap", "rollouts_00001.mcap"]
+    first = int(runs[0]["done"].sum())
+    for index, whole in ((0, runs[0]), (first, runs[1])):
+        entry = log.episodes[index]
+        rows = slice(int(entry["start_step"]), int(entry["end_step"]) + 1)
+        expected = whole["state", "position_w"][rows, int(entry["env_id"])]
+        assert torch.equal(log.episode(index)["state", "position_w"], expected)
+
+
+def test_worlds_keep_names_shapes_types_and_their_step(tmp_path):
+    first = {
+        "boxes_w": torch.randn(3, 5, 4),
+        "count": torch.tensor([1, 2, 5], dtype=torch.int32),
+        "open": torch.tensor([[True, False]]),
+        "radius_m": torch.tensor(0.25),
+        "holes": torch.zeros(3, 0, 2),
+    }
+    second = {"boxes_w": torch.randn(2, 5, 4).transpose(0, 1)}
+    with recorder(tmp_path, 2, rotate_mb=0.001) as target:
+        target.put_world(first, 0)
+        for step in range(0, 40, 10):
+            target.put(rollout(10, 2), step)
+        target.put_world(second, 40)
+        target.put(rollout(10, 2), 40)
+    log = RolloutLog(tmp_path)
+    assert len(log.files) > 3
+    assert [step for step, _ in log.worlds] == [0, 40]
+    for (_, world), expected in zip(log.worlds, (first, second), strict=True):
+        assert world.keys() == expected.keys()
+        for name, tensor in expected.items():
+            torch.testing.assert_close(world[name], tensor, rtol=0, atol=0)
+    assert torch.equal(log.world["boxes_w"], second["boxes_w"])
+    middle = RolloutLog(log.files[2])  # each file stands on its own
+    assert torch.equal(middle.world["boxes_w"], first["boxes_w"])
+    assert middle.attachments["notes.txt"] == b"hello"
+
+
+def test_a_file_cut_anywhere_gives_a_prefix_of_its_batches(tmp_path):
+    whole = rollout(60, 3)
+    with recorder(tmp_path / "whole", 3) as target:
+        put_all(target, whole, 10)
+    data = (tmp_path / "whole" / "rollouts_00000.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    found, head = set(), data.index(b"config.yaml") - 29  # the attachment follows the metadata
+    rng = random.Random(0)
+    for size in [0, 5, 8, *rng.sample(range(8, len(data)), 120), len(data) - 1, len(data)]:
+        cut.write_bytes(data[:size])
+        if size < head:
+            with pytest.raises(RecordingError, match="nothing to read"):
+                RolloutLog(cut)
+            continue
+        log = RolloutLog(cut)
+        found.add(log.num_batches)
+        assert log.metadata == {"task": "racing"}
+        everything = log.to_tensordict()
+        assert len(everything) == 10 * log.num_batches
+        for key in (("state", "position_w"), "step", "done"):
+            assert torch.equal(everything[key], whole[key][: len(everything)])
+        # A file may be cut between the last batch and its episodes.
+        assert len(log.episodes) in {int(whole["done"][:rows].sum()) for rows in range(0, 70, 10)}
+    assert found == set(range(7))
+
+
+def test_a_growing_file_is_read_up_to_its_last_batch_and_survives_its_renaming(tmp_path):
+    whole = rollout(30, 2)
+    target = recorder(tmp_path, 2)
+    target.put(whole[:10], 0)
+    target.put(whole[10:20], 10)
+    while target.batches_written < 2:
+        time.sleep(0.001)
+    growing = RolloutLog(tmp_path)
+    assert growing.files == [tmp_path / "rollouts_00000.mcap.active"]
+    assert growing.start_steps == [0, 10]
+    target.put(whole[20:], 20)
+    target.close()
+    assert torch.equal(growing.batch(1)["step"], whole["step"][10:20])
+    assert growing.attachments["notes.txt"] == b"hello"
+    assert RolloutLog(tmp_path).start_steps == [0, 10, 20]
+
+
+def test_a_run_without_batches_is_empty_not_broken(tmp_path):
+    recorder(tmp_path, 4).close()
+    log = RolloutLog(tmp_path)
+    assert log.to_tensordict()["state", "position_w"].shape == (0, 4, 3)
+    assert log.env(0)["done"].shape == (0, 1)
+    assert len(log.episodes) == 0
+    assert log.world == {}
+    assert log.config.env.num_envs == 4
+
+
+def test_a_damaged_chunk_is_reported_with_its_place(tmp_path):
+    with recorder(tmp_path, 64) as target:
+        target.put(rollout(64, 64), 0)
+    path = tmp_path / "rollouts_00000.mcap"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match="damaged at byte"):
+        RolloutLog(path).to_tensordict()
+
+
+def foreign_file(path, metadata):
+    writer = Writer(str(path))
+    writer.start()
+    for name, entries in metadata.items():
+        writer.add_metadata(name, entries)
+    writer.finish()
+
+
+def test_what_is_not_a_recording_is_named_in_one_sentence(tmp_path):
+    text, other, newer = (tmp_path / name for name in ("notes.txt", "other.mcap", "newer.mcap"))
+    text.write_text("not a recording at all")
+    foreign_file(other, {"camera": {"rate": "30"}})
+    foreign_file(newer, {"resc.spec": {"format": "99"}})
+    for location, complaint in (
+        (text, "not an MCAP file"),
+        (other, "no metadata 'resc.spec'"),
+        (newer, "has recording format 99"),
+        (tmp_path, "No recording at"),
+        (tmp_path / "missing.mcap", "No recording at"),
+        (str(tmp_path / "none_*.mcap"), "No recording at"),
+    ):
+        with pytest.raises(RecordingError, match=complaint):
+            RolloutLog(location)
+
+
+def test_recordings_that_differ_are_not_joined(tmp_path):
+    recorder(tmp_path, 4).close()
+    recorder(tmp_path, 5).close()
+    with pytest.raises(RecordingError, match="differ in columns, environments or time step"):
+        RolloutLog(tmp_path)
+
+
+def test_an_index_that_does_not_exist_is_named(tmp_path):
+    with recorder(tmp_path, 4) as target:
+        target.put(rollout(8, 4), 0)
+    log = RolloutLog(tmp_path)
+    for call, index in ((log.batch, 1), (log.env, 4), (log.env, -1), (log.episode, 0)):
+        with pytest.raises(RecordingError, match=f"no .* {index}; the recording holds"):
+            call(index)
+
+
+def test_the_example_in_the_documentation_runs(tmp_path, monkeypatch):
+    with recorder(tmp_path / "rollouts" / "train", 4) as target:
+        target.put_world({"boxes_w": torch.zeros(2, 3, 4)}, 0)
+        put_all(target, rollout(200, 4), 50)
+    monkeypatch.chdir(tmp_path)
+    page = Path(__file__).parents[2] / "docs" / "recording.md"
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, str(page), "exec"), {})
