@@ -150,7 +150,7 @@ def build_pool(
 def build_env(config: Mapping[str, Any], pool: ScenePool, **options: Any) -> QuadrotorEnv:  # noqa: ANN401
     """The environment of a run's configuration, resetting into `pool`."""
     return QuadrotorEnv(
-        build_stages(config), pool, num_envs=config["num_envs"], device=config["device"], compile=config["compile"], **options
+        build_stages(config), pool, num_envs=config["num_envs"], device=config["device"], compiled=config["compile"], **options
     )
 
 

@@ -16,7 +16,6 @@ class RunSchema:
         device: cpu or cuda.
         threads: CPU threads of this process.
         compile: Compile the step and the update; false is slower and easier to debug.
-        num_envs: Environments flown in parallel.
         allowed_targets: Prefixes of `_target_` outside resc that may be built, e.g. [mypackage.].
 
     The other fields are the configuration groups, filled from the folders of their names.
@@ -27,7 +26,6 @@ class RunSchema:
     device: str = "cpu"
     threads: int = 1
     compile: bool = True
-    num_envs: int = 1024
     allowed_targets: list[str] = field(default_factory=list)
     env: dict[str, Any] = field(default_factory=dict)
     vehicle: dict[str, Any] = field(default_factory=dict)
@@ -51,6 +49,7 @@ class TrainSchema(RunSchema):
     """What only training needs.
 
     Args:
+        num_envs: Environments flown in parallel.
         total_frames: Environment steps to train for.
         pool_size: Scenes to draw episodes from.
         renew_scenes: Scenes laid out anew after every batch.
@@ -74,6 +73,31 @@ class TrainSchema(RunSchema):
     logger: dict[str, Any] = field(default_factory=dict)
 
 
+@dataclass
+class EvaluateSchema(RunSchema):
+    """What only an evaluation needs.
+
+    The groups env, vehicle, action, rate_loop, dynamics, observation and reward are the policy's own unless the command line
+    names one; `scene` holds numbers that replace those of every scene flown.
+
+    Args:
+        policy: Folder of a shipped policy or of a finished training run.
+        scenes: Files of conf/scene to fly.
+        flights: Flights per scene.
+        seed: Of starts and random scenes; training never uses this one.
+        compile: Compile the step; pays off only for many thousand flights.
+    """
+
+    name: str = "evaluate"
+    seed: int = 1_000_003
+    compile: bool = False
+    policy: str = "policies/obstacles"
+    scenes: list[str] = field(default_factory=list)
+    flights: int = 20
+
+
 def register() -> None:
-    """Makes the schemas known to Hydra as `schema` of train.yaml and evaluate.yaml."""
-    ConfigStore.instance().store(name="schema", node=TrainSchema)
+    """Makes the schemas known to Hydra: `schema` of train.yaml, `evaluate_schema` of evaluate.yaml."""
+    store = ConfigStore.instance()
+    store.store(name="schema", node=TrainSchema)
+    store.store(name="evaluate_schema", node=EvaluateSchema)

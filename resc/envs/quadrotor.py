@@ -27,7 +27,8 @@ class QuadrotorEnv(EnvBase):
         num_envs: Batch size.
         seed: Seed of every drawing term.
         device: Where the tensors live.
-        compile: Whether the step and the reset are compiled; the numbers agree to rounding.
+        compiled: Whether the step and the reset are compiled; the numbers agree to rounding. (TorchRL keeps the argument
+            name `compile` for itself.)
         in_order: Resets walk through the pool, row i starting at entry i, instead of drawing entries: for evaluation.
         closed: Entries of the pool, next in turn for renewal, that no episode starts in.
     """
@@ -42,7 +43,7 @@ class QuadrotorEnv(EnvBase):
         num_envs: int,
         seed: int = 0,
         device: torch.device | str = "cpu",
-        compile: bool = True,
+        compiled: bool = True,
         in_order: bool = False,
         closed: int = 0,
     ) -> None:
@@ -59,7 +60,7 @@ class QuadrotorEnv(EnvBase):
         self.chunk = max(min(num_envs, 8), num_envs // 32)
         self._step_function = stages.step
         self._restart_function = self._restart_rows
-        if compile:
+        if compiled:
             self._step_function = torch.compile(stages.step, fullgraph=True, dynamic=False)
             self._restart_function = torch.compile(self._restart_rows, fullgraph=True, dynamic=False)
         self._make_specs()

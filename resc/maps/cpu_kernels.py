@@ -3,11 +3,12 @@
 Single precision throughout and the same order of operations as the torch version, so that both look into the same cells.
 """
 
+import functools
 import math
+from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from resc.maps.constants import (
     GAP_M,
@@ -90,10 +91,10 @@ def _corner(x, y, hit_x, hit_y, offset_x, offset_y, nearest, ox, oy, resolution)
     return best_x, best_y
 
 
-@njit(cache=True, parallel=True)
-def _cast_batch(esdf, index, origin, size, here, heading, reach, result, resolution):
+@njit(cache=True, nogil=True)
+def _cast_batch(first, last, esdf, index, origin, size, here, heading, reach, result, resolution):
     per_m = F(1.0) / resolution
-    for i in prange(here.shape[0]):
+    for i in range(first, last):
         ux, uy = F(math.cos(heading[i])), F(math.sin(heading[i]))
         result[i] = _cast(
             esdf[index[i]], here[i, 0], here[i, 1], ux, uy, reach[i],
@@ -101,10 +102,10 @@ def _cast_batch(esdf, index, origin, size, here, heading, reach, result, resolut
         )[0]  # fmt: skip
 
 
-@njit(cache=True, parallel=True)
-def _guided_batch(esdf, index, origin, size, here, offset, radius, result, resolution):
+@njit(cache=True, nogil=True)
+def _guided_batch(first, last, esdf, index, origin, size, here, offset, radius, result, resolution):
     per_m = F(1.0) / resolution
-    for i in prange(here.shape[0]):
+    for i in range(first, last):
         x, y, ox, oy, sx, sy = here[i, 0], here[i, 1], origin[i, 0], origin[i, 1], size[i, 0], size[i, 1]
         if not (x - ox >= F(0.0) and y - oy >= F(0.0) and x - ox < sx and y - oy < sy):
             result[i] = F(0.0)
@@ -124,11 +125,32 @@ def _guided_batch(esdf, index, origin, size, here, offset, radius, result, resol
 
 def cast_batch(esdf, index, origin, size, here, heading, reach, result, resolution, threads):
     """Writes the free distance [m] of one ray per environment to `result` [n]."""
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-    _cast_batch(esdf, index, origin, size, here, heading, reach, result, F(resolution))
+    arrays = (esdf, index, origin, size, here, heading, reach, result)
+    _share_out(_cast_batch, here.shape[0], threads, *arrays, F(resolution))
 
 
 def guided_batch(esdf, index, origin, size, here, offset, radius, result, resolution, threads):
     """Writes the two edges per environment [m] to `result` [n, 4]."""
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
-    _guided_batch(esdf, index, origin, size, here, offset, radius, result, F(resolution))
+    arrays = (esdf, index, origin, size, here, offset, radius, result)
+    _share_out(_guided_batch, here.shape[0], threads, *arrays, F(resolution))
+
+
+def _share_out(kernel, count, threads, *arguments):
+    """Runs a kernel over rows [0, count) in `threads` threads.
+
+    Not numba's own threads: its OpenMP layer shares torch's library, changes torch's number of threads, and waits by spinning,
+    which is many times slower as soon as another process is busy.
+    """
+    if threads == 1 or count < 256:
+        kernel(0, count, *arguments)
+        return
+    edges = [count * i // threads for i in range(threads + 1)]
+    futures = [_pool(threads).submit(kernel, a, b, *arguments) for a, b in zip(edges[1:-1], edges[2:], strict=True)]
+    kernel(0, edges[1], *arguments)
+    for future in futures:
+        future.result()
+
+
+@functools.cache
+def _pool(threads):
+    return ThreadPoolExecutor(threads - 1, thread_name_prefix="rays")

@@ -12,7 +12,7 @@ def generator_for(seed: int, path: str, device: torch.device | str = "cpu") -> t
 
 
 def uniform(
-    shape: tuple[int, ...], low: float, high: float, generator: torch.Generator
+    shape: tuple[int, ...], low: float | int, high: float | int, generator: torch.Generator
 ) -> torch.Tensor:
     """Uniform numbers in [low, high)."""
     return low + (high - low) * torch.rand(shape, generator=generator, device=generator.device)

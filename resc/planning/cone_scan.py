@@ -14,7 +14,7 @@ walk of their own.
 from typing import TypeAlias, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Int, Int32, Int64, UInt8
+from jaxtyping import Bool, Int32, Int64, UInt8
 from numba import njit
 
 from resc.planning.grid import (
@@ -28,13 +28,16 @@ from resc.planning.grid import (
 
 Table: TypeAlias = Int32[np.ndarray, "5 h columns"]
 Stack: TypeAlias = Int64[np.ndarray, "rows 5"]  # cones still to scan: row, left edge, right edge
-Found: TypeAlias = Int64[np.ndarray, "rows 2"]  # corners seen, (x, y)
+Found: TypeAlias = Int64[np.ndarray, "rows 2"]  # how many corners; then each of them, (x, y)
 Cone: TypeAlias = tuple[int, int, int, int]  # directions of the left edge and of the right edge
 
 # Layers of a table, one value for each cell.  A "next" layer holds the first column from the cell
 # itself to larger x, or the width of the map if the row has no more.
 CODE, NEXT_WALL, NEXT_GAP, NEXT_CORNER, LABEL = range(5)
 BLOCKED = 16  # in CODE, above the four corner bits
+
+_AXES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+_QUADRANTS = ((-1, 0, 0, 1), (0, 1, 1, 0))  # left and right cone on one side of a row
 
 _DIAGONAL, _ANTIDIAGONAL = CORNER_PP | CORNER_NN, CORNER_PN | CORNER_NP
 
@@ -45,7 +48,7 @@ def build_table(blocked: Grid) -> Table:
     """Table of one map; it has one column more than the map, where every row ends."""
     height, width = blocked.shape
     table = np.empty((5, height, width + 1), np.int32)
-    table[CODE, :, width] = BLOCKED
+    table[CODE, :, width], table[LABEL, :, width] = BLOCKED, -1
     table[NEXT_WALL : NEXT_CORNER + 1, :, width] = width
     corners = _corner_mask(blocked)
     wall = np.zeros(width, np.bool_)
@@ -85,7 +88,7 @@ def _index_row(
 def _label(blocked: Grid, label: Int32[np.ndarray, "h columns"]) -> None:
     """Number the cells: two free ones share a number iff steps along rows and columns join them."""
     height, width = blocked.shape
-    root = np.arange(height * ((width + 1) // 2))  # of each run of free cells in a row
+    root = np.empty(height * ((width + 1) // 2), np.int32)  # of each run of free cells in a row
     runs = 0
     for y in range(height):
         run = -1
@@ -93,7 +96,8 @@ def _label(blocked: Grid, label: Int32[np.ndarray, "h columns"]) -> None:
             if blocked[y, x]:
                 run = -1
             elif run < 0:
-                run, runs = runs, runs + 1
+                root[runs] = run = runs
+                runs += 1
             label[y, x] = run
             if y > 0 and run >= 0 and label[y - 1, x] >= 0:
                 below = label[y - 1, x]
@@ -109,7 +113,7 @@ def _label(blocked: Grid, label: Int32[np.ndarray, "h columns"]) -> None:
 
 @njit(cache=True)
 @no_type_check
-def _join(root: Int[np.ndarray, " runs"], a: int, b: int) -> None:
+def _join(root: Int32[np.ndarray, " runs"], a: int, b: int) -> None:
     while root[a] != a:
         root[a] = root[root[a]]
         a = root[a]
@@ -121,21 +125,20 @@ def _join(root: Int[np.ndarray, " runs"], a: int, b: int) -> None:
 
 @njit(cache=True)
 @no_type_check
-def scan_all(table: Table, x: int, y: int, stack: Stack, found: Found, count: int) -> int:
-    """Append the corners that (x, y) sees, if a shortest path can turn there; new count."""
+def scan_all(table: Table, x: int, y: int, stack: Stack, found: Found) -> None:
+    """Find the corners that (x, y) sees, if a shortest path can turn there."""
+    found[0, 0] = 0
+    for step_x, step_y in _AXES:
+        scan_axis(table, x, y, step_x, step_y, found)
     for step in (-1, 1):
-        count = scan_axis(table, x, y, step, 0, found, count)
-        count = scan_axis(table, x, y, 0, step, found, count)
-        count = scan_cone(table, x, y, step, (-1, 0, 1, 0), stack, found, count)
-    return count
+        for cone in _QUADRANTS:
+            scan_cone(table, x, y, step, cone, stack, found)
 
 
 @njit(cache=True)
 @no_type_check
-def scan_axis(
-    table: Table, x: int, y: int, step_x: int, step_y: int, found: Found, count: int
-) -> int:
-    """Append the corners along one axis that have their obstacle on the near side; new count."""
+def scan_axis(table: Table, x: int, y: int, step_x: int, step_y: int, found: Found) -> None:
+    """Append the corners along one axis that have their obstacle on the near side."""
     if step_x:
         wanted = CORNER_NN | CORNER_NP if step_x > 0 else CORNER_PP | CORNER_PN
     else:
@@ -144,20 +147,20 @@ def scan_axis(
     x, y = x + step_x, y + step_y
     while 0 <= y < height and x >= 0 and not table[CODE, y, x] & BLOCKED:
         if table[CODE, y, x] & wanted:
-            found[count, 0], found[count, 1] = x, y
-            count += 1
+            _append(found, x, y)
         x, y = x + step_x, y + step_y
-    return count
 
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def scan_cone(
-    table: Table, x: int, y: int, step: int, cone: Cone, stack: Stack, found: Found, count: int
-) -> int:
+    table: Table, x: int, y: int, step: int, cone: Cone, stack: Stack, found: Found
+) -> None:
     """Append the corners in a closed cone on one side (step = +-1) of row y, axes left out."""
     height, width = table.shape[1], table.shape[2] - 1
-    top = _push(stack, 0, 0, cone)
+    stack[0, 0] = 0
+    stack[0, 1], stack[0, 2], stack[0, 3], stack[0, 4] = cone
+    top = 1
     while top:
         top -= 1
         k, lu, lw, ru, rw = (
@@ -172,8 +175,7 @@ def scan_cone(
         right, last = _right_edge(x, k, ru, rw, width)
         while left < width and right >= 0:
             if k:
-                bounds = max(0, first), min(width - 1, last)
-                count = _corners_between(table, x, row, step, bounds, found, count)
+                _append_row(table, x, row, step, max(0, first), min(width - 1, last), found)
             strip = row if step > 0 else row - 1
             row, k = row + step, k + 1
             if row < 0 or row >= height:
@@ -187,7 +189,6 @@ def scan_cone(
             if wall < high:
                 top = _cut(table, x, strip, k, (lu, lw, ru, rw), wall, high, stack, top)
                 break
-    return count
 
 
 @njit(cache=True)
@@ -249,22 +250,24 @@ def _right_edge(x: int, k: int, u: int, w: int, width: int) -> tuple[int, int]:
 
 @njit(cache=True)
 @no_type_check
-def _corners_between(
-    table: Table, x: int, row: int, step: int, bounds: tuple[int, int], found: Found, count: int
-) -> int:
-    """Append the useful corners of a row between two columns, these included; new count.
+def _append_row(
+    table: Table, x: int, row: int, step: int, first: int, last: int, found: Found
+) -> None:
+    """Append the useful corners of a row from column `first` to `last`.
 
     A corner is useful where a line from the scan's origin passes beside its obstacle.  A line into
     or out of the obstacle's own quadrant is no part of a shortest path.
     """
-    first, last = bounds
-    if first > last:
-        return count
-    at = table[NEXT_CORNER, row, first]
+    at = table[NEXT_CORNER, row, first] if first <= last else last + 1
     while at <= last:
         useful = _ANTIDIAGONAL if (at > x) == (step > 0) else _DIAGONAL
         if at != x and table[CODE, row, at] & useful:
-            found[count, 0], found[count, 1] = at, row
-            count += 1
+            _append(found, at, row)
         at = table[NEXT_CORNER, row, at + 1]
-    return count
+
+
+@njit(cache=True)
+@no_type_check
+def _append(found: Found, x: int, y: int) -> None:
+    found[0, 0] += 1
+    found[found[0, 0], 0], found[found[0, 0], 1] = x, y

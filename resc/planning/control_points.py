@@ -59,8 +59,8 @@ def control_points(
 def _drop_own_cell(points: list[Point]) -> None:
     """Remove the centre of the drone's own cell, which only joins the exact start to the grid.
 
-    The line past it stays half a cell (Chebyshev) or more from blocked centres, so it does not enter
-    the square of a blocked cell.
+    The line past it stays half a cell (Chebyshev) or more from blocked centres, so it does not
+    enter the square of a blocked cell.
     """
     if len(points) > 2:
         (x0, y0), (x1, y1) = points[:2]

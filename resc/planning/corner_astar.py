@@ -79,7 +79,7 @@ def find_path(
     query: int,
     work: Work,
 ) -> tuple[int, int, float, int]:
-    """Status, number of points, length [m], expansions; the points [m] are left in the workspace."""
+    """Status, number of points, length [m] and expansions; the points [m] stay in `work`."""
     _, parent, _, _, _, _, _, points = work
     start_x, start_y, sx, sy = start
     goal_x, goal_y, gx, gy = goal
@@ -91,16 +91,16 @@ def find_path(
         return status, 0, inf, expansions
     width = blocked.shape[1]
     count = _trace(parent, width, sy * width + sx, gy * width + gx, points)
-    points[0] = (start_x - x0) / size, (start_y - y0) / size
-    points[count + 1] = (goal_x - x0) / size, (goal_y - y0) / size
+    points[0, 0], points[0, 1] = (start_x - x0) / size, (start_y - y0) / size
+    points[count + 1, 0], points[count + 1, 1] = (goal_x - x0) / size, (goal_y - y0) / size
     count = _join_ends(blocked, points, count)
     length = 0.0
     for n in range(1, count):
         length += hypot(points[n, 0] - points[n - 1, 0], points[n, 1] - points[n - 1, 1])
     for n in range(1, count - 1):
         points[n, 0], points[n, 1] = x0 + size * points[n, 0], y0 + size * points[n, 1]
-    points[0] = start_x, start_y
-    points[count - 1] = goal_x, goal_y
+    points[0, 0], points[0, 1] = start_x, start_y
+    points[count - 1, 0], points[count - 1, 1] = goal_x, goal_y
     return FOUND, count, size * length, expansions
 
 
@@ -120,13 +120,14 @@ def _search(
         return FOUND, 0
 
     fresh = query << _FLAG_BITS
-    for n in range(scan_all(table, gx, gy, stack, found, 0)):
+    scan_all(table, gx, gy, stack, found)
+    for n in range(1, found[0, 0] + 1):
         mark[found[n, 1] * width + found[n, 0]] = fresh | _SEES_GOAL
     mark[last] = fresh | _SEES_GOAL
     mark[first] = fresh | _OPENED
     cost[first] = 0.0
-    size = _push(key, entry, 0, hypot(gx - sx, gy - sy), first)
-    best, expansions = inf, 0
+    key[0], entry[0] = 0.0, first
+    size, expansions, best = 1, 0, inf
     while size and key[0] < best:
         cell = entry[0]
         size = _pop(key, entry, size)
@@ -138,11 +139,11 @@ def _search(
         mark[cell] |= _CLOSED
         x, y = cell % width, cell // width
         if cell == first:
-            count = scan_all(table, x, y, stack, found, 0)
+            scan_all(table, x, y, stack, found)
         else:
             dx, dy = x - parent[cell] % width, y - parent[cell] // width
-            count = _scan_onward(table, x, y, dx, dy, stack, found)
-        for n in range(count):
+            _scan_onward(table, x, y, dx, dy, stack, found)
+        for n in range(1, found[0, 0] + 1):
             u, v = found[n, 0], found[n, 1]
             at = v * width + u
             flags = mark[at]
@@ -169,26 +170,27 @@ def _search(
 
 @njit(cache=True)
 @no_type_check
-def _scan_onward(table: Table, x: int, y: int, dx: int, dy: int, stack: Stack, found: Found) -> int:
-    """Number of corners found that can follow (x, y) on a shortest path arriving along (dx, dy).
+def _scan_onward(
+    table: Table, x: int, y: int, dx: int, dy: int, stack: Stack, found: Found
+) -> None:
+    """Find the corners that can follow (x, y) on a shortest path that arrives along (dx, dy).
 
     The path can only turn towards an obstacle that it passes beside: onward directions lie between
     its own and the side of that obstacle, all within one quadrant.
     """
-    count = 0
-    ahead = abs(dy)
+    found[0, 0] = 0
     for bit, qx, qy in _SIDES:
         if not table[CODE, y, x] & bit:
             continue
-        if dx * qx >= 0 and dy * qy < 0:  # passes below or above the obstacle: turn towards (qx, 0)
-            count = scan_axis(table, x, y, qx, 0, found, count)
-            cone = (dx, ahead, 1, 0) if qx > 0 else (-1, 0, dx, ahead)
-            count = scan_cone(table, x, y, -qy, cone, stack, found, count)
-        elif dx * qx < 0 and dy * qy >= 0:  # passes left or right of it: turn towards (0, qy)
-            count = scan_axis(table, x, y, 0, qy, found, count)
-            cone = (dx, ahead, 0, 1) if qx > 0 else (0, 1, dx, ahead)
-            count = scan_cone(table, x, y, qy, cone, stack, found, count)
-    return count
+        if dx * qx >= 0 and dy * qy < 0:  # turns towards (qx, 0)
+            side_x, side_y, step = qx, 0, -qy
+        elif dx * qx < 0 and dy * qy >= 0:  # turns towards (0, qy)
+            side_x, side_y, step = 0, qy, qy
+        else:
+            continue
+        scan_axis(table, x, y, side_x, side_y, found)
+        own, side = (dx, abs(dy)), (side_x, abs(side_y))
+        scan_cone(table, x, y, step, own + side if qx > 0 else side + own, stack, found)
 
 
 @njit(cache=True)
@@ -213,27 +215,34 @@ def _trace(
             if ax * by == ay * bx:
                 continue
         kept += 1
-        points[kept] = points[n]
+        _move(points, n, kept)
     return kept
 
 
 @njit(cache=True)
 @no_type_check
 def _join_ends(blocked: Grid, points: Points, count: int) -> int:
-    """Drop the centres of the end cells, rows 1 and `count`, if the exact ends make them needless."""
+    """Drop the centres of the end cells, rows 1 and `count`, if the exact ends replace them."""
     if count == 1:  # both ends in one cell
-        points[1] = points[2]
+        _move(points, count + 1, count)
         return 2
     first, last = 0, count + 1
     if _replaces(blocked, points[0], points[1], points[2]):
-        points[1] = points[0]
+        _move(points, 0, 1)
         first = 1
     if _replaces(blocked, points[last], points[count], points[count - 1]):
-        points[count] = points[last]
+        _move(points, last, count)
         last = count
     for n in range(first, last + 1):
-        points[n - first] = points[n]
+        _move(points, n, n - first)
     return last - first + 1
+
+
+@njit(cache=True)
+@no_type_check
+def _move(points: Points, source: int, target: int) -> None:
+    # By element: the assignment of a row takes numba 3 s to compile.
+    points[target, 0], points[target, 1] = points[source, 0], points[source, 1]
 
 
 @njit(cache=True)

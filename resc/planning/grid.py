@@ -109,7 +109,9 @@ def _line_is_free(blocked: Grid, ax: int, ay: int, bx: int, by: int) -> bool:
         return False
     dx, dy = bx - ax, by - ay
     if dy == 0:
-        return not blocked[ay, min(ax, bx) : max(ax, bx) + 1].any()
+        for x in range(min(ax, bx), max(ax, bx) + 1):
+            if blocked[ay, x]:
+                return False
     for k in range(dy):
         # The columns that the line spans between rows k and k + 1, rounded outwards.
         low = ax + min(k * dx, (k + 1) * dx) // dy

@@ -160,9 +160,9 @@ class VisibilitySearch:
     ) -> PlannedPath:
         """`_solve` between the nearest free cells, with the ways to them added at both ends."""
         label = prepared.table[LABEL]
-        known = max(label[start.row, start.column], label[goal.row, goal.column])
+        known = int(max(label[start.row, start.column], label[goal.row, goal.column]))
         after = _way_to_free(prepared, goal, frame, known)
-        known = label[after[-1].row, after[-1].column] if after else known
+        known = int(label[after[-1].row, after[-1].column]) if after else known
         before = _way_to_free(prepared, start, frame, known)
         if not before or not after:
             return PlannedPath(np.empty((0, 2)), inf, 0, "unreachable", snapped=True)

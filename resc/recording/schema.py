@@ -51,7 +51,9 @@ FIELDS: dict[str, dict[str, int]] = {
 }
 """Scalar fields of each message, numbered from 1; fragments and worlds go on with arrays."""
 EPISODE_KEYS = tuple(FIELDS[EPISODES])
-WORLD_FIELDS = dict(zip(_TYPES, ("floats", "bools", "ints", "uints"), strict=True))
+# Wide integers only here: browsers cannot plot them, but nothing plots the scenes.
+_WORLD_TYPES = _TYPES | {torch.int64: ("<i8", _Field.TYPE_SFIXED64)}
+WORLD_FIELDS = dict(zip(_WORLD_TYPES, ("floats", "bools", "ints", "uints", "longs"), strict=True))
 """Field of `resc.World.Array` for each type, numbered from 3."""
 
 # A lower-case first letter keeps a field apart from the message type nested under its name.
@@ -171,7 +173,7 @@ def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
         _add_field(array, "name", _Field.TYPE_STRING)
         _add_field(array, "shape", _Field.TYPE_FIXED32, repeated=True)
         for dtype, name in WORLD_FIELDS.items():
-            _add_field(array, name, _TYPES[dtype][1], repeated=True)
+            _add_field(array, name, _WORLD_TYPES[dtype][1], repeated=True)
     name = f"resc/{topic.removeprefix('/')}.proto"
     file = FileDescriptorProto(name=name, package="resc", syntax="proto3", message_type=[message])
     return FileDescriptorSet(file=[file]).SerializeToString()
@@ -179,4 +181,4 @@ def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
 
 def numpy_type(dtype: torch.dtype) -> np.dtype:
     """Type of one value on the wire."""
-    return np.dtype(_TYPES[dtype][0])
+    return np.dtype(_WORLD_TYPES[dtype][0])

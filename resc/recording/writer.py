@@ -27,7 +27,7 @@ from resc.recording.batches import (
     host_batch,
     to_host,
 )
-from resc.recording.schema import DTYPE_NAMES, EPISODES, ROLLOUT, WORLD, Column
+from resc.recording.schema import EPISODES, ROLLOUT, WORLD, WORLD_FIELDS, Column
 from resc.recording.segments import FileHead, Segments
 from resc.recording.specification import Specification, require
 
@@ -142,10 +142,10 @@ class RolloutRecorder:
         """Record the scenes used from `start_step` on: named arrays, one entry for each scene."""
         self._check_open()
         for name, tensor in message.items():
-            if str(tensor.dtype).removeprefix("torch.") not in DTYPE_NAMES:
+            if tensor.dtype not in WORLD_FIELDS:
                 raise RecordingError(
                     f"World array '{name}' has dtype {tensor.dtype}; "
-                    f"convert it to one of {', '.join(DTYPE_NAMES)}."
+                    f"convert it to one of {', '.join(map(str, WORLD_FIELDS))}."
                 )
         leaves, wait = to_host({(name,): tensor for name, tensor in message.items()})
         self._queue.put(partial(self._write_world, leaves, wait, start_step, time.time_ns()))

@@ -1,7 +1,7 @@
 """What a scene is: obstacles, a start, and a goal or a route."""
 
 from dataclasses import dataclass, fields
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -29,6 +29,7 @@ class Layout:
         return self.boxes_w.shape[0]
 
 
+@runtime_checkable
 class Scene(Protocol):
     """Something that lays out scenes."""
 

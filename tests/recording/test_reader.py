@@ -13,6 +13,7 @@ from tensordict import TensorDict
 
 from resc.errors import RecordingError
 from resc.recording import Column, RolloutLog, RolloutRecorder
+from resc.recording.source import open_source
 
 OUTCOMES = ("success", "collision", "time_limit")
 COLUMNS = (
@@ -187,6 +188,7 @@ def test_worlds_keep_names_shapes_types_and_their_step(tmp_path):
     first = {
         "boxes_w": torch.randn(3, 5, 4),
         "count": torch.tensor([1, 2, 5], dtype=torch.int32),
+        "route_length": torch.tensor([[2**40], [-1]]),
         "open": torch.tensor([[True, False]]),
         "radius_m": torch.tensor(0.25),
         "holes": torch.zeros(3, 0, 2),
@@ -235,6 +237,20 @@ def test_a_file_cut_anywhere_gives_a_prefix_of_its_batches(tmp_path):
         # A file may be cut between the last batch and its episodes.
         assert len(log.episodes) in {int(whole["done"][:rows].sum()) for rows in range(0, 70, 10)}
     assert found == set(range(7))
+
+
+def test_a_batch_of_which_some_chunks_are_missing_is_left_out(tmp_path):
+    whole = rollout(128, 2048)  # two chunks a batch
+    with recorder(tmp_path, 2048, compression="none") as target:
+        put_all(target, whole, 64)
+    path = tmp_path / "rollouts_00000.mcap"
+    chunks = open_source(path).chunks_of("/rollout")
+    data = path.read_bytes()
+    for count, kept in ((1, 0), (len(chunks) // 2, 1), (len(chunks) - 1, 1), (len(chunks), 2)):
+        path.write_bytes(data[: chunks[count - 1].offset + chunks[count - 1].length + 40_000])
+        log = RolloutLog(path)
+        assert log.num_batches == kept
+        assert torch.equal(log.to_tensordict()["step"], whole["step"][: 64 * kept])
 
 
 def test_a_growing_file_is_read_up_to_its_last_batch_and_survives_its_renaming(tmp_path):

@@ -1,0 +1,99 @@
+"""What is flown: the scenes of the list, laid out and planned, one entry per flight."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from resc.build import build
+from resc.errors import ConfigError
+from resc.math.sampling import generator_for
+from resc.planning.route import RoutePlanner
+from resc.scenes.layout import Layout
+
+
+@dataclass(frozen=True)
+class Course:
+    """One scene of the list with a start and a route for every flight.
+
+    `planned_m` is the polyline of each flight. `own_routes`: the scene laid the routes out itself, so the flights obey the task
+    and the terminations of the training; all others lead from rest to the goal of a planned path.
+    """
+
+    name: str
+    layout: Layout
+    planned_m: Sequence[Float[np.ndarray, "v 2"]]
+    own_routes: bool
+
+    def __len__(self) -> int:
+        return len(self.layout)
+
+    @property
+    def planned_lengths_m(self) -> Float[np.ndarray, " f"]:
+        """Length of the polyline of each flight [m]."""
+        steps = [np.diff(line, axis=0) for line in self.planned_m]
+        return np.array([np.hypot(*step.T).sum() for step in steps])
+
+    @property
+    def one_map(self) -> bool:
+        """Whether all flights share their obstacles."""
+        return bool((self.layout.boxes_w == self.layout.boxes_w[:1]).all())
+
+
+class LaidOut:
+    """A scene that is laid out already: hands its layout to the pool."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+
+    def sample(self, count: int, generator: torch.Generator) -> Layout:
+        """The layout, all of it; nothing is drawn."""
+        assert count == len(self.layout), f"{count} of {len(self.layout)} scenes wanted"
+        return self.layout
+
+
+def lay_out(
+    scenes: Mapping[str, Mapping[str, Any]],
+    flights: int,
+    *,
+    seed: int,
+    planner: RoutePlanner,
+    allowed: Iterable[str] = (),
+) -> list[Course]:
+    """The courses of a list of scene configurations, `flights` of each.
+
+    Every scene draws from a generator of its own, so adding one to the list leaves the others as they were.
+
+    Raises:
+        ConfigError: No scene, or less than one flight.
+        PlanningError: A flight has no path.
+    """
+    if not scenes:
+        raise ConfigError("scenes is empty; name at least one file of conf/scene.")
+    if flights < 1:
+        raise ConfigError(f"flights is {flights}; expected at least 1.")
+    courses = []
+    for name, node in scenes.items():
+        scene = build(node, f"scene.{name}", allowed=allowed)
+        layout = scene.sample(flights, generator_for(seed, f"evaluation/{name}"))
+        own_routes = bool((layout.route_length > 0).all())
+        if own_routes:
+            planned = _lines(layout)
+        else:
+            layout = planner(layout, name)
+            planned = [path.points_m for path in planner.paths]
+        courses.append(Course(name, layout, planned, own_routes))
+    return courses
+
+
+def _lines(layout: Layout) -> list[Float[np.ndarray, "v 2"]]:
+    """From each start straight through the control points [m]."""
+    lines = []
+    for start, route, length in zip(
+        layout.start_w, layout.route_w, layout.route_length[:, 0].tolist(), strict=True
+    ):
+        lines.append(torch.cat((start[None], route[:length]))[:, :2].numpy())
+    return lines

@@ -1,0 +1,78 @@
+"""The environment of an evaluation: the policy's vehicle and senses, the evaluation's task and rules."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from resc.build import build_env
+from resc.envs.quadrotor import QuadrotorEnv, layout_of
+from resc.envs.stages import Stages
+from resc.errors import CheckpointError
+from resc.evaluation.courses import Course, LaidOut
+from resc.math.sampling import generator_for
+from resc.scenes.layout import concatenate
+from resc.scenes.pool import ScenePool
+
+STORED = ("env", "vehicle", "action", "rate_loop", "dynamics", "observation", "reward")
+"""Groups taken from the policy's configuration, unless the command line names one."""
+MEASURING = ("limit_violations", "surface_clearance")
+"""Sensors that only metrics and terminations read: the evaluation's, whatever the policy trained with."""
+
+Layout = Sequence[tuple[str, int]]
+
+
+def settings_for(
+    config: Mapping[str, Any], stored: Mapping[str, Any], *, own_routes: bool
+) -> dict[str, Any]:
+    """The configuration that an environment is built from.
+
+    What the policy sees and moves comes from `stored`; what is asked of it and measured from `config`. Scenes with routes of
+    their own are flown under the stored task and terminations.
+    """
+    settings = {key: config[key] for key in ("allowed_targets", "device", "compile")}
+    settings |= {group: config.get(group) or stored[group] for group in STORED}
+    rules = stored if own_routes else config
+    settings |= {group: rules[group] for group in ("task", "termination")}
+    settings |= {group: config[group] for group in ("metric", "randomization")}
+    measuring = {name: config["sensor"][name] for name in MEASURING if name in config["sensor"]}
+    settings["sensor"] = {**config["sensor"], **(stored["sensor"] or {}), **measuring}
+    return settings
+
+
+def build_flying_env(
+    courses: Sequence[Course], settings: Mapping[str, Any], *, seed: int
+) -> QuadrotorEnv:
+    """An environment with one row for every flight of the courses, in their order."""
+    layout = concatenate([course.layout for course in courses])
+    pool = ScenePool(
+        LaidOut(layout),
+        size=len(layout),
+        resolution_m=settings["env"]["resolution_m"],
+        generator=generator_for(seed, "scene_layout"),
+        device=torch.device(settings["device"]),
+    )
+    return build_env({**settings, "num_envs": len(layout)}, pool, seed=seed, in_order=True)
+
+
+def require_layout(expected: Layout, stages: Stages, path: Path) -> None:
+    """Refuses a policy whose input differs from what the environment observes.
+
+    Raises:
+        CheckpointError: Names the first block that differs.
+    """
+    given = [(name, width) for name, width in layout_of(stages)]
+    wanted = [(name, width) for name, width in expected]
+    for number in range(max(len(given), len(wanted))):
+        want = wanted[number] if number < len(wanted) else None
+        give = given[number] if number < len(given) else None
+        if want != give:
+            raise CheckpointError(
+                f"The policy in {path} expects {_block(want)} as block {number + 1} of its input, "
+                f"but the environment gives {_block(give)}; evaluate it with the observations it was trained with."
+            )
+
+
+def _block(block: tuple[str, int] | None) -> str:
+    return "nothing" if block is None else f"'{block[0]}' ({block[1]} numbers)"

@@ -1,0 +1,121 @@
+"""What flights come to: a table of them, and per scene rates with intervals and medians."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from resc.evaluation.courses import Course
+from resc.evaluation.flights import Flights
+
+Z_95 = 1.959964
+"""Two-sided 95 % quantile of the normal distribution."""
+
+Columns = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class SceneReport:
+    """Numbers of one scene, or of all together; NaN where no flight has the number.
+
+    Times, lengths and energy are medians over the flights that arrived; one that never came as close counts as endless.
+    Clearance, speed, acceleration and limits are over all flights, up to their finish.
+    """
+
+    name: str
+    episodes: int
+    success_rate: float
+    success_low: float
+    success_high: float
+    collision_rate: float
+    outcomes: dict[str, int]
+    time_span_s: float
+    time_within_fifth_s: float
+    path_length_m: float
+    planned_length_m: float
+    energy_m2ps5: float
+    min_clearance_m: float
+    median_clearance_m: float
+    top_speed_mps: float
+    top_acceleration_mps2: float
+    over_limit_share: float
+
+
+def tabulate(course: Course, flights: Flights) -> dict[str, np.ndarray]:
+    """One entry per flight under every column: outcome, steps, metrics."""
+    return {
+        "scene": np.full(len(flights), course.name),
+        "flight": np.arange(len(flights)),
+        "outcome": np.array(flights.names),
+        "success": flights.success.numpy(),
+        "collided": flights.collided.numpy(),
+        "steps": flights.steps.numpy(),
+        "counted_steps": flights.counted.numpy(),
+        "planned_length": course.planned_lengths_m,
+        **{name: values.double().numpy() for name, values in flights.metrics.items()},
+    }
+
+
+def report_scenes(tables: Sequence[Columns]) -> list[SceneReport]:
+    """A report for each scene's flights and, when there are several scenes, one over all."""
+    reports = [summarise(str(table["scene"][0]), table) for table in tables]
+    if len(tables) > 1:
+        reports.append(summarise("all", join(tables)))
+    return reports
+
+
+def join(tables: Sequence[Columns]) -> dict[str, np.ndarray]:
+    """The flights of several tables in one."""
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+
+
+def summarise(name: str, table: Columns) -> SceneReport:
+    """The report of the flights in a table; a metric that was not measured is NaN."""
+    arrived = table["success"]
+    count, successes = len(arrived), int(arrived.sum())
+    low, high = wilson_interval(successes, count)
+    absent = np.full(count, math.nan)
+
+    def of(column: str) -> Float[np.ndarray, " n"]:
+        return table.get(column, absent)
+
+    return SceneReport(
+        name=name,
+        episodes=count,
+        success_rate=successes / count,
+        success_low=low,
+        success_high=high,
+        collision_rate=float(table["collided"].mean()),
+        outcomes=dict(Counter(table["outcome"].tolist()).most_common()),
+        time_span_s=median(of("time_within_half_metre")[arrived]),
+        time_within_fifth_s=median(of("time_within_fifth_metre")[arrived]),
+        path_length_m=median(of("path_length")[arrived]),
+        planned_length_m=median(table["planned_length"]),
+        energy_m2ps5=median(of("energy")[arrived]),
+        min_clearance_m=float(of("least_clearance").min()),
+        median_clearance_m=median(of("least_clearance")),
+        top_speed_mps=float(of("top_speed").max()),
+        top_acceleration_mps2=float(of("top_acceleration").max()),
+        over_limit_share=float(of("steps_over_limit").sum() / table["counted_steps"].sum()),
+    )
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a rate: (p + z^2/2n -+ z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n) (Wilson 1927)."""
+    share, z = successes / trials, Z_95
+    scale = 1 + z * z / trials
+    centre = share + z * z / (2 * trials)
+    spread = z * math.sqrt(share * (1 - share) / trials + z * z / (4 * trials * trials))
+    return max(0.0, (centre - spread) / scale), min(1.0, (centre + spread) / scale)
+
+
+def median(values: Float[np.ndarray, " n"]) -> float:
+    """The median; NaN of none. Infinite values stand at the end, so a minority of them does no harm."""
+    if len(values) == 0:
+        return math.nan
+    ordered = np.sort(values.astype(np.float64))
+    low, high = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
+    return float(low) if low == high else float((low + high) / 2)

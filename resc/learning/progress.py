@@ -1,0 +1,134 @@
+"""What a run shows and leaves: the table of terms, the progress bar, progress.csv, the learning curve."""
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol
+
+import matplotlib as mpl
+
+from resc.envs.stages import Stages
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt  # noqa: E402 - the backend comes first
+
+
+class Logger(Protocol):
+    """Where figures go beside progress.csv."""
+
+    def log(self, figures: Mapping[str, float], frames: int) -> None:
+        """Takes one batch's figures."""
+        ...
+
+    def close(self) -> None:
+        """Finishes its files."""
+        ...
+
+
+class CsvLogger:
+    """Nothing beside progress.csv."""
+
+    def __init__(self, *, folder: Path) -> None:
+        del folder
+
+    def log(self, figures: Mapping[str, float], frames: int) -> None:
+        """progress.csv holds them already."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class TensorboardLogger:
+    """TensorBoard events in the run's folder: tensorboard --logdir runs."""
+
+    def __init__(self, *, folder: Path) -> None:
+        from torch.utils.tensorboard import SummaryWriter  # imports slowly, so only when asked for
+
+        self.writer = SummaryWriter(str(folder / "tensorboard"))
+
+    def log(self, figures: Mapping[str, float], frames: int) -> None:
+        """Writes every figure as a scalar."""
+        for name, value in figures.items():
+            self.writer.add_scalar(name, value, frames)
+
+    def close(self) -> None:
+        """Flushes the events."""
+        self.writer.close()
+
+
+class ProgressTable:
+    """progress.csv: one row per batch; a resumed run appends.
+
+    Args:
+        path: The file.
+        frames: Frames that the run resumes from; rows beyond them are dropped.
+    """
+
+    def __init__(self, path: Path, frames: int = 0) -> None:
+        self.path = path
+        self.rows: list[dict[str, float]] = []
+        if path.exists():
+            with path.open(newline="") as file:
+                rows = [{k: float(v) for k, v in row.items() if v} for row in csv.DictReader(file)]
+            self.rows = [row for row in rows if row["frames"] <= frames]
+
+    def add(self, row: Mapping[str, float]) -> None:
+        """Appends a row and writes the file anew when a column is new."""
+        self.rows.append(dict(row))
+        columns = list(dict.fromkeys(name for row in self.rows for name in row))
+        if len(self.rows) > 1 and columns == getattr(self, "columns", None):
+            with self.path.open("a", newline="") as file:
+                csv.DictWriter(file, columns).writerow(row)
+            return
+        self.columns = columns
+        with self.path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, columns)
+            writer.writeheader()
+            writer.writerows(self.rows)
+
+
+def describe(stages: Stages) -> str:
+    """The table of active terms: what is observed, rewarded and ended, with weights, widths and units."""
+    lines = ["observation            columns"]
+    first = 0
+    for term in stages.terms.observations:
+        lines.append(f"  {term.name:<20} {first:>3}-{first + term.width - 1:<3} {', '.join(term.columns)}")
+        first += term.width
+    lines.append("reward                 weight")
+    for term in stages.terms.rewards:
+        lines.append(f"  {term.name:<20} {term.weight:>7g} {_first_sentence(term)}")
+    lines.append("termination")
+    for term in stages.terms.terminations:
+        kind = "success" if term.success else "truncates" if term.truncates else "failure"
+        lines.append(f"  {term.name:<20} {kind:<9} {_first_sentence(term)}")
+    if stages.terms.randomizations:
+        lines.append("randomization")
+        lines += [f"  {term.name:<20} {_first_sentence(term)}" for term in stages.terms.randomizations]
+    return "\n".join(lines)
+
+
+def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
+    """Success, return and speed against frames, as one picture."""
+    frames = [row["frames"] / 1e6 for row in rows]
+    figure, (rates, returns, terms) = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+    for name in (n for n in rows[-1] if n.startswith("outcome/")):
+        rates.plot(frames, [row.get(name, float("nan")) for row in rows], label=name.split("/")[1])
+    rates.set(xlabel="frames [M]", ylabel="share of episodes", ylim=(0, 1), title="how episodes end")
+    rates.legend(frameon=False, fontsize=8)
+    returns.plot(frames, [row.get("episode/return", float("nan")) for row in rows], color="black")
+    returns.set(xlabel="frames [M]", title="return")
+    for name in (n for n in rows[-1] if n.startswith("reward/")):
+        terms.plot(frames, [row.get(name, float("nan")) for row in rows], label=name.split("/")[1])
+    terms.set(xlabel="frames [M]", title="reward terms per step", yscale="symlog")
+    terms.legend(frameon=False, fontsize=8)
+    for axes in (rates, returns, terms):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.2)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _first_sentence(term: object) -> str:
+    """The first sentence of a term's docstring."""
+    text = " ".join((type(term).__doc__ or "").split())
+    return text.split(". ")[0].rstrip(".")[:90]

@@ -1,0 +1,107 @@
+"""The life of a training run: batches until the frames are flown, saved on the way and on Ctrl-C."""
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+from tqdm import tqdm
+
+from resc.learning.checkpoint import CHECKPOINT, save_checkpoint
+from resc.learning.ppo import Ppo
+from resc.learning.progress import Logger, ProgressTable
+from resc.recording.rollouts import record_world, with_success
+from resc.recording.writer import RolloutRecorder
+
+
+@dataclass
+class Interruption:
+    """Whether the user asked to stop; a second request stops at once."""
+
+    requested: bool = False
+    signal_number: int = field(default=0)
+
+
+@contextmanager
+def stopping_at_batch_end() -> Iterator[Interruption]:
+    """Turns the first SIGINT or SIGTERM into a request that the loop heeds after the batch in hand."""
+    interruption = Interruption()
+    previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def request(number: int, _: FrameType | None) -> None:
+        interruption.requested, interruption.signal_number = True, number
+        for caught, handler in previous.items():
+            signal.signal(caught, handler)
+        tqdm.write("Stopping after this batch; the checkpoint will be saved. Once more to stop at once.")
+
+    for number in previous:
+        signal.signal(number, request)
+    try:
+        yield interruption
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def train(
+    trainer: Ppo,
+    folder: Path,
+    *,
+    total_frames: int,
+    recorder: RolloutRecorder | None,
+    logger: Logger,
+    table: ProgressTable,
+    checkpoint_every_s: float,
+) -> bool:
+    """Trains until `total_frames`; whether it got there. Errors of the recorder leave a saved checkpoint behind."""
+    pool = trainer.env.pool
+    saved_at = time.monotonic()
+    if recorder is not None:
+        record_world(recorder, pool, trainer.iteration * trainer.settings.steps)
+    bar = tqdm(total=total_frames, initial=trainer.frames, unit="step", unit_scale=True, smoothing=0.05)
+    with stopping_at_batch_end() as interruption, bar:
+        while trainer.frames < total_frames and not interruption.requested:
+            began = time.monotonic()
+            figures = trainer.iterate()
+            try:
+                _record(trainer, recorder)
+            except BaseException:
+                save_checkpoint(folder / CHECKPOINT, trainer)
+                raise
+            figures |= trainer.statistics.rates() | _reward_terms(trainer)
+            figures["speed/steps_per_s"] = trainer.batch_frames / (time.monotonic() - began)
+            figures["episode/total"] = trainer.statistics.total
+            logger.log(figures, trainer.frames)
+            table.add({"frames": trainer.frames, **figures})
+            bar.set_postfix_str(_summary(figures), refresh=False)
+            bar.update(trainer.batch_frames)
+            if time.monotonic() - saved_at > checkpoint_every_s:
+                save_checkpoint(folder / CHECKPOINT, trainer)
+                saved_at = time.monotonic()
+    save_checkpoint(folder / CHECKPOINT, trainer)
+    return trainer.frames >= total_frames
+
+
+def _record(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
+    if recorder is None:
+        return
+    start = trainer.statistics.start_step
+    recorder.put(trainer.batch, start, with_success(trainer.statistics.episodes()))
+    if trainer.renew_scenes:
+        record_world(recorder, trainer.env.pool, start + trainer.settings.steps)
+
+
+def _reward_terms(trainer: Ppo) -> dict[str, float]:
+    """Mean weighted reward per step, by term."""
+    means = trainer.batch["reward_terms"].mean((0, 1)).tolist()
+    names = [term.name for term in trainer.env.stages.terms.rewards]
+    return {f"reward/{name}": mean for name, mean in zip(names, means, strict=True)}
+
+
+def _summary(figures: dict[str, float]) -> str:
+    success, collision = figures.get("outcome/success"), figures.get("outcome/collision")
+    parts = [f"{share:.1%} {name}" for name, share in (("success", success), ("collision", collision)) if share is not None]
+    return ", ".join(parts)

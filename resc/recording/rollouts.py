@@ -1,0 +1,87 @@
+"""Which columns a rollout of the environment has, and the recorder for them."""
+
+import platform
+import subprocess
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDict
+
+from resc import keys
+from resc.build import build
+from resc.envs.stages import Stages
+from resc.recording.schema import Column
+from resc.recording.writer import RolloutRecorder
+from resc.scenes.pool import ScenePool
+
+STATE_COLUMNS = (
+    Column(keys.POSITION_W, ("x", "y", "z"), torch.float32, "m", "world"),
+    Column(keys.VELOCITY_W, ("x", "y", "z"), torch.float32, "m/s", "world"),
+    Column(keys.ATTITUDE_WB, ("w", "x", "y", "z"), torch.float32, "-", "body to world"),
+    Column(keys.BODY_RATE_B, ("x", "y", "z"), torch.float32, "rad/s", "body"),
+    Column(keys.ACTION, ("p", "q", "r", "thrust"), torch.float32, "-", ""),
+)
+"""The state before a step and the action taken in it."""
+FLAGS = tuple(Column(key, (), torch.bool) for key in (keys.TERMINATED, keys.TRUNCATED))
+REWARD_TERMS = ("reward_terms",)
+
+
+def rollout_columns(stages: Stages) -> tuple[Column, ...]:
+    """State and action before each step, the reward it earned, whole and by term (weighted), and how it ended."""
+    names = tuple(term.name for term in stages.terms.rewards)
+    reward = Column(keys.REWARD, (), torch.float32)
+    return (*STATE_COLUMNS, reward, Column(REWARD_TERMS, names, torch.float32), *FLAGS)
+
+
+def open_recorder(
+    config: DictConfig, stages: Stages, *, directory: Path, outcomes: tuple[str, ...], num_envs: int
+) -> RolloutRecorder | None:
+    """The recorder of a run, its metadata and configuration already attached; None where recorder=none."""
+    if not config.get("recorder"):
+        return None
+    metadata = {**provenance(), "seed": str(config["seed"]), "device": str(config["device"])}
+    return build(
+        config["recorder"],
+        "recorder",
+        directory=directory,
+        columns=rollout_columns(stages),
+        dt_s=float(config["env"]["dt_s"]),
+        num_envs=num_envs,
+        metadata=metadata,
+        attachments={"config.yaml": OmegaConf.to_yaml(config, resolve=True).encode()},
+        outcomes=outcomes,
+    )
+
+
+def record_world(recorder: RolloutRecorder, pool: ScenePool, start_step: int) -> None:
+    """Writes the pool's obstacles, starts and routes, so that a reader needs no simulator."""
+    scenes: Mapping[keys.NestedKey, torch.Tensor] = {**pool.shared, **pool.tasks}
+    recorder.put_world({key[-1]: value for key, value in scenes.items() if key != keys.ESDF}, start_step)
+
+
+def with_success(episodes: TensorDict | None) -> TensorDict | None:
+    """Adds the flag `success`: outcome number 0."""
+    if episodes is not None:
+        episodes["success"] = episodes["outcome"] == 0
+    return episodes
+
+
+def provenance() -> dict[str, str]:
+    """Commit, versions and machine that made a file."""
+    commit = _git("rev-parse", "HEAD")
+    return {
+        "git_commit": commit or "unknown",
+        "git_dirty": str(bool(_git("status", "--porcelain"))).lower(),
+        **{f"{name}_version": version(name) for name in ("torch", "torchrl", "tensordict", "mcap")},
+        "python_version": platform.python_version(),
+    }
+
+
+def _git(*arguments: str) -> str:
+    command: list[Any] = ["git", "-C", Path(__file__).parent, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.stdout.strip()

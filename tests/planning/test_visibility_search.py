@@ -1,0 +1,348 @@
+"""The search against brute force, exact references, and what must hold for any shortest path."""
+
+from itertools import pairwise
+from math import hypot, inf, sqrt
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import shortest_path
+
+from resc.errors import ConfigError, PlanningError
+from resc.planning.grid import line_is_free
+from resc.planning.visibility_search import PlannedPath, VisibilitySearch
+
+
+def plan_cells(
+    search: VisibilitySearch, blocked: np.ndarray, start: tuple[int, int], goal: tuple[int, int]
+) -> PlannedPath:
+    """Path between two cell centres of a map with cells of 1 m."""
+    return search.plan(search.prepare(blocked), centre(start), centre(goal))
+
+
+def centre(cell: tuple[int, int], size_m: float = 1.0) -> tuple[float, float]:
+    return ((cell[0] + 0.5) * size_m, (cell[1] + 0.5) * size_m)
+
+
+def cells_of(path: PlannedPath, size_m: float = 1.0) -> list[tuple[int, int]]:
+    return [(x, y) for x, y in np.floor(path.points_m / size_m).astype(int).tolist()]
+
+
+def random_free_pair(random: np.random.Generator, blocked: np.ndarray) -> list[tuple[int, int]]:
+    cells = random.permutation(np.argwhere(~blocked))[:2, ::-1].tolist()
+    return [(x, y) for x, y in cells]
+
+
+@pytest.fixture
+def unit_search() -> VisibilitySearch:
+    """Search on cells of 1 m without clearance, so that occupied and blocked are the same."""
+    return VisibilitySearch(clearance_m=0.0, resolution_m=1.0)
+
+
+def test_matches_brute_force_over_all_free_cells_of_small_maps(unit_search: VisibilitySearch):
+    random = np.random.default_rng(4)
+    for _ in range(60):
+        height, width = random.integers(1, 9, size=2)
+        blocked = random.random((height, width)) < random.uniform(0.1, 0.5)
+        cells = [(x, y) for y, x in np.argwhere(~blocked).tolist()]
+        graph = np.zeros((len(cells), len(cells)))
+        for i, a in enumerate(cells):
+            for j, b in enumerate(cells[:i]):
+                if line_is_free(blocked, a, b):
+                    graph[i, j] = hypot(a[0] - b[0], a[1] - b[1])
+        expected = shortest_path(graph, directed=False) if cells else graph
+        prepared = unit_search.prepare(blocked)
+        for i, a in enumerate(cells):
+            for j in random.permutation(len(cells))[:10].tolist():
+                path = unit_search.plan(prepared, centre(a), centre(cells[j]))
+                assert path.length_m == pytest.approx(expected[i, j], rel=1e-12, abs=1e-12)
+                assert path.status == ("unreachable" if expected[i, j] == inf else "found")
+
+
+def test_every_quad100_path_is_free_taut_and_as_short_as_the_reference(quad100):
+    search = VisibilitySearch(quad100.clearance_m, quad100.resolution_m)
+    size_m = quad100.resolution_m
+    prepared = [search.prepare(occupancy) for occupancy in quad100.occupancy]
+    for query in quad100.queries:
+        chart = prepared[query.map]
+        start, goal = centre(query.start, size_m), centre(query.goal, size_m)
+        path = search.plan(chart, start, goal)
+        assert path.status == "found"
+        assert not path.snapped
+        assert path.length_m / size_m == pytest.approx(query.shortest, rel=1e-9)
+        assert path.points_m[0].tolist() == list(start)
+        assert path.points_m[-1].tolist() == list(goal)
+        cells = cells_of(path, size_m)
+        assert (cells[0], cells[-1]) == (query.start, query.goal)
+        assert all(line_is_free(chart.blocked, a, b) for a, b in pairwise(cells))
+        for a, b, c in zip(cells, cells[1:], cells[2:], strict=False):
+            assert_turns_round_an_obstacle(chart.blocked, a, b, c)
+    assert len(quad100.queries) == 600
+
+
+def assert_turns_round_an_obstacle(blocked: np.ndarray, a, b, c) -> None:
+    """At b the path bends, and on the inner side of the bend a diagonal neighbour is blocked."""
+    turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+    assert turn != 0
+    inner = [
+        (u, v)
+        for u in (-1, 1)
+        for v in (-1, 1)
+        if ((b[0] - a[0]) * v - (b[1] - a[1]) * u) * turn > 0
+        and ((c[0] - b[0]) * v - (c[1] - b[1]) * u) * turn > 0
+        and 0 <= b[0] + u < blocked.shape[1]
+        and 0 <= b[1] + v < blocked.shape[0]
+    ]
+    assert any(blocked[b[1] + v, b[0] + u] for u, v in inner)
+
+
+def test_length_is_the_same_backwards_mirrored_transposed_and_padded(unit_search: VisibilitySearch):
+    random = np.random.default_rng(5)
+    for _ in range(40):
+        blocked = random.random((20, 27)) < 0.3
+        (sx, sy), (gx, gy) = random_free_pair(random, blocked)
+        length_m = plan_cells(unit_search, blocked, (sx, sy), (gx, gy)).length_m
+        padded = np.pad(blocked, 2, constant_values=True)
+        variants = [
+            (blocked, (gx, gy), (sx, sy)),
+            (blocked[:, ::-1], (26 - sx, sy), (26 - gx, gy)),
+            (blocked[::-1], (sx, 19 - sy), (gx, 19 - gy)),
+            (blocked.T, (sy, sx), (gy, gx)),
+            (padded, (sx + 2, sy + 2), (gx + 2, gy + 2)),
+        ]
+        for variant, start, goal in variants:
+            assert plan_cells(unit_search, variant, start, goal).length_m == pytest.approx(
+                length_m, rel=1e-12
+            )
+
+
+def test_one_more_obstacle_never_shortens_a_path(unit_search: VisibilitySearch):
+    random = np.random.default_rng(6)
+    for _ in range(60):
+        blocked = random.random((15, 15)) < 0.25
+        start, goal = random_free_pair(random, blocked)
+        before = plan_cells(unit_search, blocked, start, goal)
+        extra = random_free_pair(random, blocked)[0]
+        if extra not in (start, goal):
+            blocked[extra[1], extra[0]] = True
+            after = plan_cells(unit_search, blocked, start, goal)
+            assert after.length_m >= before.length_m - 1e-9
+
+
+def test_empty_map_gives_the_straight_line():
+    search = VisibilitySearch()
+    path = search.plan(search.prepare(np.zeros((50, 80), bool)), (0.51, 4.98), (7.33, 0.02))
+    assert path.points_m.tolist() == [[0.51, 4.98], [7.33, 0.02]]
+    assert path.length_m == pytest.approx(hypot(6.82, 4.96), rel=1e-12)
+    assert path.expansions == 0
+
+
+def test_path_goes_round_both_ends_of_a_thick_wall(unit_search: VisibilitySearch):
+    blocked = np.zeros((5, 7), bool)
+    blocked[:4, 2:5] = True
+    path = plan_cells(unit_search, blocked, (0, 0), (6, 0))
+    assert cells_of(path) == [(0, 0), (1, 4), (5, 4), (6, 0)]
+    assert path.length_m == pytest.approx(4 + 2 * sqrt(17))
+
+
+def test_start_equal_to_goal_gives_a_path_of_no_length(unit_search: VisibilitySearch):
+    path = unit_search.plan(unit_search.prepare(np.zeros((1, 1), bool)), (0.3, 0.6), (0.3, 0.6))
+    assert path.points_m.tolist() == [[0.3, 0.6], [0.3, 0.6]]
+    assert (path.status, path.length_m) == ("found", 0.0)
+
+
+def test_two_points_in_one_cell_are_joined_directly(unit_search: VisibilitySearch):
+    blocked = np.array([[False, True]])
+    path = unit_search.plan(unit_search.prepare(blocked), (0.1, 0.2), (0.9, 0.8))
+    assert path.points_m.tolist() == [[0.1, 0.2], [0.9, 0.8]]
+
+
+def test_neighbours_are_one_cell_apart_but_not_through_a_diagonal_gap(
+    unit_search: VisibilitySearch,
+):
+    blocked = np.array([[False, True], [False, False]])
+    assert plan_cells(unit_search, blocked, (0, 0), (0, 1)).length_m == 1.0
+    assert plan_cells(unit_search, blocked, (0, 0), (1, 1)).length_m == 2.0
+    blocked[1, 0] = True
+    assert plan_cells(unit_search, blocked, (0, 0), (1, 1)).status == "unreachable"
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1)])
+def test_map_of_one_row_or_column(unit_search: VisibilitySearch, shape: tuple[int, int]):
+    blocked = np.zeros(shape, bool)
+    far = (shape[1] - 1, shape[0] - 1)
+    assert plan_cells(unit_search, blocked, (0, 0), far).length_m == 8.0
+    blocked.flat[4] = True
+    path = plan_cells(unit_search, blocked, (0, 0), far)
+    assert (path.status, path.length_m, path.points_m.shape) == ("unreachable", inf, (0, 2))
+
+
+def test_path_may_follow_the_border_of_the_map(unit_search: VisibilitySearch):
+    blocked = np.zeros((6, 6), bool)
+    blocked[1:5, 1:5] = True
+    assert plan_cells(unit_search, blocked, (0, 0), (5, 5)).length_m == 10.0
+
+
+def test_path_through_a_spiral_one_cell_wide(unit_search: VisibilitySearch):
+    rows = [
+        "........",
+        "#######.",
+        "......#.",
+        ".####.#.",
+        ".#..#.#.",
+        ".#.##.#.",
+        ".#....#.",
+        ".######.",
+        "........",
+    ]
+    blocked = np.array([[c == "#" for c in row] for row in reversed(rows)])
+    path = plan_cells(unit_search, blocked, (0, 8), (3, 4))
+    assert path.length_m == 7 + 8 + 7 + 6 + 5 + 4 + 3 + 2 + 1
+
+
+def test_budget_is_told_from_unreachable():
+    blocked = np.random.default_rng(8).random((60, 60)) < 0.25
+    blocked[0, 0] = blocked[59, 59] = False
+    full = plan_cells(VisibilitySearch(0.0, 1.0), blocked, (0, 0), (59, 59))
+    assert full.status == "found"
+    assert full.expansions > 10
+    short = plan_cells(VisibilitySearch(0.0, 1.0, max_expansions=10), blocked, (0, 0), (59, 59))
+    assert (short.status, short.expansions, short.length_m) == ("budget", 10, inf)
+
+
+def test_answers_do_not_depend_on_earlier_queries_or_map_sizes():
+    random = np.random.default_rng(8)
+    used = VisibilitySearch(0.0, 1.0)
+    for shape in [(30, 30), (7, 40), (50, 9), (30, 30), (64, 64)]:
+        blocked = random.random(shape) < 0.3
+        start, goal = random_free_pair(random, blocked)
+        fresh = plan_cells(VisibilitySearch(0.0, 1.0), blocked, start, goal)
+        again = plan_cells(used, blocked, start, goal)
+        np.testing.assert_array_equal(again.points_m, fresh.points_m)
+        assert again.expansions == fresh.expansions
+
+
+def test_full_heap_grows_without_changing_the_answer():
+    blocked = np.random.default_rng(8).random((60, 60)) < 0.25
+    blocked[0, 0] = blocked[59, 59] = False
+    expected = plan_cells(VisibilitySearch(0.0, 1.0), blocked, (0, 0), (59, 59))
+    small = VisibilitySearch(0.0, 1.0)
+    small._reserve(cells=blocked.size, heap=1)
+    path = plan_cells(small, blocked, (0, 0), (59, 59))
+    assert path.status == "found"
+    np.testing.assert_array_equal(path.points_m, expected.points_m)
+
+
+def test_exact_ends_link_to_their_cells_where_an_obstacle_is_next_to_them(
+    unit_search: VisibilitySearch,
+):
+    blocked = np.zeros((3, 9), bool)
+    blocked[0, 3:6] = True
+    prepared = unit_search.prepare(blocked)
+    # In cell (2, 0), too near the blocked centre: via the centre of its own cell.
+    path = unit_search.plan(prepared, (2.9, 0.5), (8.5, 0.5))
+    assert path.points_m.tolist() == [[2.9, 0.5], [2.5, 0.5], [2.5, 1.5], [6.5, 1.5], [8.5, 0.5]]
+    # Off centre but clear of it: straight to the corner.
+    path = unit_search.plan(prepared, (0.2, 0.7), (8.5, 0.5))
+    assert path.points_m.tolist() == [[0.2, 0.7], [2.5, 1.5], [6.5, 1.5], [8.5, 0.5]]
+
+
+def test_origin_shifts_the_path_and_a_numpy_point_is_accepted():
+    occupancy = np.zeros((100, 100), bool)
+    occupancy[30:70, 45:55] = True
+    search = VisibilitySearch()
+    prepared = search.prepare(occupancy)
+    here = search.plan(prepared, (1.0, 5.0), (9.0, 5.0))
+    there = search.plan(prepared, np.array([-4.0, 3.0]), np.array([4.0, 3.0]), (-5.0, -2.0))
+    np.testing.assert_allclose(there.points_m, here.points_m + np.array([-5.0, -2.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize("point", [(4.55, 5.05), (5.05, 6.95)])
+def test_start_within_the_clearance_leaves_it_by_the_nearest_free_cell(point: tuple[float, float]):
+    occupancy = np.zeros((100, 100), bool)
+    occupancy[40:67, 49:60] = True
+    search = VisibilitySearch()
+    prepared = search.prepare(occupancy)
+    out = search.plan(prepared, point, (1.05, 1.05))
+    back = search.plan(prepared, (1.05, 1.05), point)
+    assert out.status == "found"
+    assert out.snapped
+    assert out.points_m[0].tolist() == list(point)
+    assert back.points_m[-1].tolist() == list(point)
+    assert back.length_m == pytest.approx(out.length_m)
+    cells = cells_of(out, 0.1)
+    assert prepared.blocked[cells[0][1], cells[0][0]]
+    assert not prepared.blocked[cells[1][1], cells[1][0]]
+    assert all(line_is_free(occupancy, a, b) for a, b in pairwise(cells[:3]))
+    assert np.hypot(*(out.points_m[1] - out.points_m[0])) < 0.5
+
+
+def test_way_out_of_the_clearance_never_crosses_a_thin_wall():
+    occupancy = np.zeros((40, 40), bool)
+    occupancy[5:, 20] = True  # wall, with the drone in a narrow blind alley to the right of it
+    occupancy[5:, 25] = True
+    search = VisibilitySearch()
+    prepared = search.prepare(occupancy)
+    path = search.plan(prepared, (2.25, 3.05), (1.05, 3.05))
+    cells = cells_of(path, 0.1)
+    assert path.snapped
+    assert min(y for _, y in cells) < 5
+    inside = [n for n, (x, y) in enumerate(cells) if prepared.blocked[y, x]]
+    way = cells[: max(inside) + 2]
+    assert all(line_is_free(occupancy, a, b) for a, b in pairwise(way))
+
+
+def test_snapping_prefers_free_space_that_is_joined_to_the_goal():
+    occupancy = np.zeros((20, 40), bool)
+    occupancy[:, 20] = True
+    occupancy[10, 20] = False  # a hole too narrow for the clearance
+    search = VisibilitySearch()
+    path = search.plan(search.prepare(occupancy), (2.05, 1.05), (3.55, 0.55))
+    other = search.plan(search.prepare(occupancy), (2.05, 1.05), (0.55, 0.55))
+    assert (path.status, other.status) == ("found", "found")
+
+
+def test_start_with_no_free_cell_around_it_is_unreachable():
+    occupancy = np.ones((20, 20), bool)
+    occupancy[9:12, 9:12] = False
+    search = VisibilitySearch()
+    path = search.plan(search.prepare(occupancy), (1.05, 1.05), (1.15, 1.05))
+    assert (path.status, path.snapped, path.length_m) == ("unreachable", True, inf)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "message"),
+    [
+        ((12.0, 1.0), (1.0, 1.0), r"Start \(12, 1\) m is outside the map.* x 0 \.\. 10 m"),
+        ((1.0, 1.0), (1.0, -0.1), r"Goal \(1, -0\.1\) m is outside the map.* y 0 \.\. 5 m"),
+        ((1.0, 1.0), (float("nan"), 1.0), r"Goal \(nan, 1\) m is outside the map"),
+        ((2.05, 3.05), (1.0, 1.0), r"Start .* inside an obstacle, in column 20 of row 30"),
+    ],
+)
+def test_ends_that_no_path_can_have_are_refused(start, goal, message: str):
+    occupancy = np.zeros((50, 100), bool)
+    occupancy[30, 20] = True
+    search = VisibilitySearch()
+    with pytest.raises(PlanningError, match=message):
+        search.plan(search.prepare(occupancy), start, goal)
+
+
+def test_point_on_the_edge_of_a_cell_belongs_to_the_cell_above_it():
+    occupancy = np.zeros((10, 10), bool)
+    occupancy[2, 3] = True
+    search = VisibilitySearch()
+    with pytest.raises(PlanningError, match="column 3 of row 2"):
+        search.plan(search.prepare(occupancy), (0.3, 0.2), (0.95, 0.95))
+
+
+def test_later_changes_of_the_occupancy_do_not_reach_a_prepared_map(unit_search: VisibilitySearch):
+    occupancy = np.zeros((3, 3), bool)
+    prepared = unit_search.prepare(occupancy)
+    occupancy[:] = True
+    assert unit_search.plan(prepared, (0.5, 0.5), (2.5, 2.5)).status == "found"
+
+
+def test_impossible_settings_are_refused():
+    with pytest.raises(ConfigError, match=r"clearance_m of the search is -0\.1"):
+        VisibilitySearch(clearance_m=-0.1)
+    with pytest.raises(ConfigError, match=r"resolution_m of the search is 0\.0"):
+        VisibilitySearch(resolution_m=0.0)
