@@ -14,8 +14,9 @@ from resc.errors import ConfigError
 class QuadrotorGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """The Gymnasium face of a `QuadrotorEnv` of one environment: same task, same numbers.
 
-    Actions are in [-1, 1], observations unbounded. `info["outcome"]` of an episode's last step names how it ended. For whole
-    batches use `QuadrotorEnv`: one environment alone costs nearly as much a step as hundreds.
+    Actions are in [-1, 1], observations unbounded. `info["outcome"]` of an episode's last step
+    names how it ended. For speed use `QuadrotorEnv`: a step of one environment costs nearly as
+    much as a step of a hundred.
 
     Args:
         env: The environment behind it.
@@ -23,7 +24,9 @@ class QuadrotorGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(self, env: QuadrotorEnv) -> None:
         if env.num_envs != 1:
-            raise ConfigError(f"num_envs is {env.num_envs}; Gymnasium's interface is for num_envs=1.")
+            raise ConfigError(
+                f"num_envs is {env.num_envs}; Gymnasium's interface is for num_envs=1."
+            )
         self.env = env
         self.action_space = Box(-1.0, 1.0, (env.stages.terms.action.width,), np.float32)
         self.observation_space = Box(-np.inf, np.inf, (env.observation_width,), np.float32)

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -13,30 +12,21 @@ from tqdm import tqdm
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
-from resc.envs.stages import StepOutput
 from resc.errors import ConfigError
+from resc.evaluation.flight_log import FlightLog
+from resc.recording.writer import RolloutRecorder
 from resc.terms.terminations.collision import Collision
 from resc.terms.terminations.contact import Contact
 
 Policy = Callable[[Tensor], Tensor]
 
 
-class FlightRecorder(Protocol):
-    """Something that takes down a step of all flights; `flying` marks the rows that are not done yet."""
-
-    def step(
-        self, observation: Tensor, action: Tensor, out: StepOutput, flying: Tensor, env: QuadrotorEnv
-    ) -> None:
-        """Takes one step down."""
-        ...
-
-
 @dataclass(frozen=True)
 class Flights:
     """What came of one episode per row; all on the CPU.
 
-    `position_w` and `velocity_w` begin with the start, and stay at their last value once a flight is over. `counted` is the
-    number of steps up to the finish, over which the metrics run.
+    `position_w` and `velocity_w` begin with the start, and stay at their last value once a flight is
+    over. `counted` is the number of steps up to the finish, over which the metrics run.
     """
 
     outcomes: tuple[str, ...]
@@ -59,6 +49,16 @@ class Flights:
         return self.outcome == 0
 
     @property
+    def success_rate(self) -> float:
+        """Share of flights that reached their goal."""
+        return float(self.success.double().mean())
+
+    @property
+    def collision_rate(self) -> float:
+        """Share of flights that ended in an obstacle."""
+        return float(self.collided.double().mean())
+
+    @property
     def names(self) -> list[str]:
         """The outcome of each flight."""
         return [self.outcomes[number] for number in self.outcome.tolist()]
@@ -71,7 +71,8 @@ class Flights:
     def rows(self, start: int, stop: int) -> "Flights":
         """Some of the flights."""
         of = slice(start, stop)
-        single = {name: getattr(self, name)[of] for name in ("outcome", "collided", "steps", "counted")}
+        columns = ("outcome", "collided", "steps", "counted")
+        single = {name: getattr(self, name)[of] for name in columns}
         traces = {name: getattr(self, name)[:, of] for name in ("position_w", "velocity_w")}
         metrics = {name: values[of] for name, values in self.metrics.items()}
         return replace(self, **single, **traces, metrics=metrics)
@@ -83,7 +84,7 @@ def fly(
     policy: Policy,
     *,
     trace: bool = True,
-    recorder: FlightRecorder | None = None,
+    recorder: RolloutRecorder | None = None,
 ) -> Flights:
     """Flies one episode in every row, all at once; rows that are done wait in their last state.
 
@@ -91,9 +92,12 @@ def fly(
         ConfigError: No termination ends a flight that hovers for ever.
     """
     if not any(term.truncates for term in env.stages.terms.terminations):
-        raise ConfigError("termination has no time limit, so a flight may never end; add time_limit.")
+        raise ConfigError(
+            "termination has no time limit, so a flight may never end; add time_limit."
+        )
     began = time.perf_counter()
     observation = env.restart(torch.arange(env.num_envs))
+    log = None if recorder is None else FlightLog(recorder, env)
     over = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=env.device)
     outcome, steps, counted = (torch.zeros_like(over, dtype=torch.int64) for _ in range(3))
     traces = [_state_of(env)]
@@ -101,12 +105,12 @@ def fly(
         while not over.all():
             # A row that waits gets a hover command: its state is put back, but must stay finite until then.
             action = torch.where(over, 0.0, policy(observation))
-            before, seen = env.world, observation
+            before = env.world
             counted += ~(over | env.value_of(keys.FINISHED))
             out = env.advance(action)
             observation = out.observation
-            if recorder is not None:
-                recorder.step(seen, action, out, ~over, env)
+            if log is not None:
+                log.step(before, action, out, ~over)
             if over.any():
                 env.world = TensorDict.where(before, over[:, 0], env.world)
             steps += ~over
@@ -116,6 +120,8 @@ def fly(
             if trace:
                 traces.append(_state_of(env))
             bar.update(int(ended.sum()))
+    if log is not None:
+        log.flush()
     position, velocity = (torch.stack(part) for part in zip(*traces, strict=True))
     metrics = {t.name: env.value_of(t.outputs[0])[:, 0].cpu() for t in env.stages.terms.metrics}
     return Flights(

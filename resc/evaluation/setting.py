@@ -1,15 +1,12 @@
 """The environment of an evaluation: the policy's vehicle and senses, the evaluation's task and rules."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from resc.build import build_env
-from resc.envs.quadrotor import QuadrotorEnv, layout_of
-from resc.envs.stages import Stages
-from resc.errors import CheckpointError
+from resc.envs.quadrotor import QuadrotorEnv
 from resc.evaluation.courses import Course, LaidOut
 from resc.math.sampling import generator_for
 from resc.scenes.layout import concatenate
@@ -20,16 +17,14 @@ STORED = ("env", "vehicle", "action", "rate_loop", "dynamics", "observation", "r
 MEASURING = ("limit_violations", "surface_clearance")
 """Sensors that only metrics and terminations read: the evaluation's, whatever the policy trained with."""
 
-Layout = Sequence[tuple[str, int]]
-
 
 def settings_for(
     config: Mapping[str, Any], stored: Mapping[str, Any], *, own_routes: bool
 ) -> dict[str, Any]:
     """The configuration that an environment is built from.
 
-    What the policy sees and moves comes from `stored`; what is asked of it and measured from `config`. Scenes with routes of
-    their own are flown under the stored task and terminations.
+    What the policy sees and moves comes from `stored`; what is asked of it and measured from
+    `config`. Scenes with routes of their own are flown under the stored task and terminations.
     """
     settings = {key: config[key] for key in ("allowed_targets", "device", "compile")}
     settings |= {group: config.get(group) or stored[group] for group in STORED}
@@ -54,25 +49,3 @@ def build_flying_env(
         device=torch.device(settings["device"]),
     )
     return build_env({**settings, "num_envs": len(layout)}, pool, seed=seed, in_order=True)
-
-
-def require_layout(expected: Layout, stages: Stages, path: Path) -> None:
-    """Refuses a policy whose input differs from what the environment observes.
-
-    Raises:
-        CheckpointError: Names the first block that differs.
-    """
-    given = [(name, width) for name, width in layout_of(stages)]
-    wanted = [(name, width) for name, width in expected]
-    for number in range(max(len(given), len(wanted))):
-        want = wanted[number] if number < len(wanted) else None
-        give = given[number] if number < len(given) else None
-        if want != give:
-            raise CheckpointError(
-                f"The policy in {path} expects {_block(want)} as block {number + 1} of its input, "
-                f"but the environment gives {_block(give)}; evaluate it with the observations it was trained with."
-            )
-
-
-def _block(block: tuple[str, int] | None) -> str:
-    return "nothing" if block is None else f"'{block[0]}' ({block[1]} numbers)"

@@ -1,11 +1,13 @@
 """The rays of `resc.maps.ray_casting` on the CPU: one environment after the other, each ray only as far as it must go.
 
-Single precision throughout and the same order of operations as the torch version, so that both look into the same cells.
+Positions in single precision, directions in double: as near to exact arithmetic as single-precision maps allow.
+The kernels are marked `no_type_check`: numba cannot compile the wrappers of the tests' type checker.
 """
 
 import functools
 import math
 from concurrent.futures import ThreadPoolExecutor
+from typing import no_type_check
 
 import numpy as np
 from numba import njit
@@ -25,6 +27,7 @@ _GAP, _REACHED, _SECTOR = F(GAP_M), F(REACHED_M), F(HALF_SECTOR_RAD)
 
 
 @njit(cache=True, inline="always")
+@no_type_check
 def _at(field, x, y, ox, oy, last_x, last_y, per_m):
     """Distance stored in the cell of (x, y), clamped to the map."""
     column = int(min(max((x - ox) * per_m, F(0.0)), last_x))
@@ -33,6 +36,7 @@ def _at(field, x, y, ox, oy, last_x, last_y, per_m):
 
 
 @njit(cache=True)
+@no_type_check
 def _cast(field, x, y, ux, uy, length, ox, oy, sx, sy, per_m):
     """How far a ray gets, and whether the cell it ends in is occupied (facts 4.3)."""
     last_x, last_y = sx * per_m - F(0.5), sy * per_m - F(0.5)
@@ -52,22 +56,22 @@ def _cast(field, x, y, ux, uy, length, ox, oy, sx, sy, per_m):
 
 
 @njit(cache=True)
-def _sweep(field, x, y, toward, radius, side, guide_reach, guide_blocked, ox, oy, sx, sy, per_m):
-    """Where the edge of one side lies: x, y (facts 4.4)."""
-    step = F(math.atan2(F(0.5) / per_m, radius))
-    hit_x = x + guide_reach * F(math.cos(toward))
-    hit_y = y + guide_reach * F(math.sin(toward))
+@no_type_check
+def _sweep(field, x, y, ux, uy, radius, side, guide_reach, guide_blocked, ox, oy, sx, sy, per_m):
+    """Where the edge of one side lies: x, y (facts 4.4). Directions turn by a fixed angle, in double precision."""
+    step = math.atan2(0.5 / per_m, radius)
+    turn_x, turn_y = math.cos(step), side * math.sin(step)
+    hit_x, hit_y = x + guide_reach * F(ux), y + guide_reach * F(uy)
     last_reach = guide_reach
     k = 1
-    while F(k - 1) * step < _SECTOR:
-        angle = toward + side * (F(k) * step)
-        ux, uy = F(math.cos(angle)), F(math.sin(angle))
-        reach, blocked = _cast(field, x, y, ux, uy, radius, ox, oy, sx, sy, per_m)
+    while F((k - 1) * step) < _SECTOR:
+        ux, uy = ux * turn_x - uy * turn_y, uy * turn_x + ux * turn_y
+        reach, blocked = _cast(field, x, y, F(ux), F(uy), radius, ox, oy, sx, sy, per_m)
         if guide_blocked:
-            if blocked and reach - last_reach > _GAP or (not blocked and radius - reach < _REACHED):
+            if (blocked and reach - last_reach > _GAP) or (not blocked and radius - reach < _REACHED):
                 break
         if not guide_blocked or blocked:
-            hit_x, hit_y, last_reach = x + reach * ux, y + reach * uy, reach
+            hit_x, hit_y, last_reach = x + reach * F(ux), y + reach * F(uy), reach
         if blocked and not guide_blocked:
             break
         k += 1
@@ -75,6 +79,7 @@ def _sweep(field, x, y, toward, radius, side, guide_reach, guide_blocked, ox, oy
 
 
 @njit(cache=True)
+@no_type_check
 def _corner(x, y, hit_x, hit_y, offset_x, offset_y, nearest, ox, oy, resolution):
     """The corner of the cell hit at the least (or greatest) angle to the guide, relative to the vehicle."""
     west = F(math.floor((hit_x - ox) / resolution)) * resolution + ox - x
@@ -92,6 +97,7 @@ def _corner(x, y, hit_x, hit_y, offset_x, offset_y, nearest, ox, oy, resolution)
 
 
 @njit(cache=True, nogil=True)
+@no_type_check
 def _cast_batch(first, last, esdf, index, origin, size, here, heading, reach, result, resolution):
     per_m = F(1.0) / resolution
     for i in range(first, last):
@@ -103,6 +109,7 @@ def _cast_batch(first, last, esdf, index, origin, size, here, heading, reach, re
 
 
 @njit(cache=True, nogil=True)
+@no_type_check
 def _guided_batch(first, last, esdf, index, origin, size, here, offset, radius, result, resolution):
     per_m = F(1.0) / resolution
     for i in range(first, last):
@@ -111,13 +118,13 @@ def _guided_batch(first, last, esdf, index, origin, size, here, offset, radius, 
             result[i] = F(0.0)
             continue
         field = esdf[index[i]]
-        toward = F(math.atan2(offset[i, 1], offset[i, 0]))
-        ux, uy = F(math.cos(toward)), F(math.sin(toward))
-        reach, blocked = _cast(field, x, y, ux, uy, radius[i], ox, oy, sx, sy, per_m)
+        toward = math.atan2(offset[i, 1], offset[i, 0])
+        ux, uy = math.cos(toward), math.sin(toward)
+        reach, blocked = _cast(field, x, y, F(ux), F(uy), radius[i], ox, oy, sx, sy, per_m)
         for k in range(2):
-            side = F(1.0) if k == 0 else F(-1.0)
+            side = 1.0 if k == 0 else -1.0
             hit_x, hit_y = _sweep(
-                field, x, y, toward, radius[i], side, reach, blocked, ox, oy, sx, sy, per_m
+                field, x, y, ux, uy, radius[i], side, reach, blocked, ox, oy, sx, sy, per_m
             )
             edge = _corner(x, y, hit_x, hit_y, offset[i, 0], offset[i, 1], not blocked, ox, oy, resolution)
             result[i, 2 * k], result[i, 2 * k + 1] = edge

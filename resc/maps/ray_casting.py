@@ -7,7 +7,6 @@ compiler as the operators `resc::cast` and `resc::guided`. Both are tested again
 
 import math
 
-import numba
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -22,16 +21,6 @@ from resc.maps.constants import (
     SHORTEST_STEP_M,
 )
 from resc.maps.distance_field import DistanceField
-
-
-def _start_kernel_threads() -> None:
-    """Starts numba's threads now: the first start sets OpenMP's thread count of the whole process, torch's with it."""
-    threads = torch.get_num_threads()
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-    torch.set_num_threads(threads)
-
-
-_start_kernel_threads()
 
 
 def free_distance(

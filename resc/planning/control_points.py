@@ -87,7 +87,8 @@ def _merge(points: list[Point], at: int, blocked: Grid, shortest: float) -> bool
                 del points[n]
                 return True
     if 0 < at < len(points) - 2:
-        x, y = _stand_in(blocked, *points[at - 1 : at + 3], shortest)
+        a, b, c, d = points[at - 1 : at + 3]
+        x, y = _stand_in(blocked, a, b, c, d, shortest)
         if x >= 0.0:
             points[at : at + 2] = [(x, y)]
             return True

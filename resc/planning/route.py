@@ -1,14 +1,15 @@
 """Routes for scenes that only know their goal: shortest path, then control points along it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from resc.build import build
 from resc.errors import ConfigError, PlanningError
 from resc.planning.control_points import control_points
 from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
@@ -21,8 +22,8 @@ MAPS_KEPT = 64
 class RoutePlanner:
     """Fills in the routes of a batch of scenes, from each start to each goal.
 
-    `paths` holds the planned path of every scene of the last call. A map is rasterised and prepared once, however many
-    scenes share it. The control points keep the goal's height.
+    `paths` holds the planned path of every scene of the last call. A map is rasterised and prepared
+    once, however many scenes share it. The control points keep the goal's height.
 
     Args:
         clearance_m: What the path keeps from occupied cells.
@@ -62,7 +63,8 @@ class RoutePlanner:
         """The same scenes with routes; a route that is already there is replaced.
 
         Raises:
-            PlanningError: A start or goal lies outside the map or in an obstacle, or no path joins them; says which scene.
+            PlanningError: A start or goal lies outside the map or in an obstacle, or no path joins
+                them; says which scene.
         """
         self.paths, routes = [], []
         for number in range(len(layout)):
@@ -122,3 +124,12 @@ class RoutePlanner:
                 self._maps.pop(next(iter(self._maps)))
             self._maps[key] = self.search.prepare(occupied.numpy())
         return self._maps[key]
+
+
+def planner_for(config: Mapping[str, Any]) -> RoutePlanner | None:
+    """The planner of a run's configuration; None if it names no search."""
+    if not config.get("search"):
+        return None
+    allowed = config.get("allowed_targets", ())
+    resolution = config["env"]["resolution_m"]
+    return build(config["search"], "search", allowed=allowed, resolution_m=resolution)

@@ -53,7 +53,9 @@ def test_an_episode_has_the_numbers_of_the_batched_environment(env):
 
 
 def test_the_clock_truncates_and_the_last_step_names_the_outcome():
-    env = QuadrotorGymEnv(make_env("termination=[time_limit]", "termination.time_limit.limit_s=0.1"))
+    env = QuadrotorGymEnv(
+        make_env("termination=[time_limit]", "termination.time_limit.limit_s=0.1")
+    )
     env.reset(seed=0)
     steps = [env.step(env.action_space.sample() * 0) for _ in range(5)]
     assert [step[3] for step in steps] == [False, False, False, False, True]

@@ -1,0 +1,80 @@
+"""From a training configuration to a trainer, new or resumed, and to its held-out evaluation."""
+
+from pathlib import Path
+
+from omegaconf import DictConfig, open_dict
+
+from resc.build import build, build_env, build_pool, load_config
+from resc.errors import ConfigError
+from resc.evaluation.flights import Flights, fly
+from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint, load_policy
+from resc.learning.ppo import Ppo
+from resc.planning.route import planner_for
+
+CLOSED_BATCHES = 4
+"""Batches for which a scene takes no new episodes before it is renewed; longer than nearly every episode."""
+
+
+def build_trainer(config: DictConfig) -> Ppo:
+    """The environment, the networks and PPO of a configuration, at the start.
+
+    Raises:
+        ConfigError: A name, a number or a combination is wrong.
+    """
+    renewed, size = config["renew_scenes"], config["pool_size"]
+    if not 0 <= (CLOSED_BATCHES + 1) * renewed <= size:
+        raise ConfigError(
+            f"renew_scenes is {renewed}; with pool_size {size} it can be 0 to {size // (CLOSED_BATCHES + 1)}."
+        )
+    if config["seed"] == config["evaluation_seed"]:
+        raise ConfigError(f"seed is {config['seed']}, the seed of the evaluation scenes; choose another.")
+    pool = build_pool(
+        config, size=size, seed=config["seed"], device=config["device"], plan=planner_for(config)
+    )
+    env = build_env(config, pool, seed=config["seed"], closed=CLOSED_BATCHES * renewed)
+    networks = build(
+        config["model"],
+        "model",
+        allowed=config["allowed_targets"],
+        observation_width=env.observation_width,
+        action_width=env.stages.terms.action.width,
+        seed=config["seed"],
+    )
+    return Ppo(
+        env,
+        networks,
+        build(config["algorithm"], "algorithm"),
+        total_frames=config["total_frames"],
+        seed=config["seed"],
+        compile=config["compile"],
+        renew_scenes=renewed,
+    )
+
+
+def resumed(config: DictConfig, folder: Path) -> tuple[DictConfig, Path]:
+    """The configuration and folder to train with: those of the interrupted run that `resume` names, if any.
+
+    A larger `total_frames` on the command line lengthens the run.
+    """
+    if not config["resume"]:
+        return config, folder
+    folder = Path(config["resume"]).resolve()
+    stored = load_config(folder / CONFIG)
+    with open_dict(stored):
+        stored["resume"] = config["resume"]
+        stored["total_frames"] = max(stored["total_frames"], config["total_frames"])
+    return stored, folder
+
+
+def restore(trainer: Ppo, folder: Path, config: DictConfig) -> None:
+    """Loads the checkpoint of the run that `resume` names, if any."""
+    if config["resume"]:
+        load_checkpoint(folder / CHECKPOINT, trainer)
+
+
+def fly_held_out(config: DictConfig, folder: Path) -> Flights:
+    """The trained policy's mean action over fixed episodes of the training law, on scenes never trained on."""
+    episodes, seed = config["evaluation_episodes"], config["evaluation_seed"]
+    pool = build_pool(config, size=episodes, seed=seed, device=config["device"], plan=planner_for(config))
+    env = build_env({**config, "num_envs": episodes}, pool, seed=seed, in_order=True)
+    return fly(env, load_policy(folder, config["device"]), trace=False)
