@@ -1,0 +1,134 @@
+"""The report as text: a table for people, tables for programs."""
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from resc.evaluation.published import PLANNERS, PUBLISHED
+from resc.evaluation.statistics import SceneReport
+
+ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
+    ("flights", lambda r: str(r.episodes)),
+    ("success [%]", lambda r: _percent(r.success_rate)),
+    ("  95 % interval", lambda r: f"{_percent(r.success_low)} to {_percent(r.success_high)}"),
+    ("collisions [%]", lambda r: _percent(r.collision_rate)),
+    ("time to 0.5 m [s]", lambda r: _number(r.time_span_s, 2)),
+    ("time to 0.2 m [s]", lambda r: _number(r.time_within_fifth_s, 2)),
+    ("path flown [m]", lambda r: _number(r.path_length_m, 2)),
+    ("path planned [m]", lambda r: _number(r.planned_length_m, 2)),
+    ("energy to 0.5 m [m^2/s^5]", lambda r: _number(r.energy_m2ps5, 0)),
+    ("least clearance [m]", lambda r: _number(r.min_clearance_m, 2)),
+    ("  median flight [m]", lambda r: _number(r.median_clearance_m, 2)),
+    ("top speed [m/s]", lambda r: _number(r.top_speed_mps, 2)),
+    ("top acceleration [m/s^2]", lambda r: _number(r.top_acceleration_mps2, 2)),
+    ("steps over a limit [%]", lambda r: _percent(r.over_limit_share)),
+)
+PER_SCENE = ("time", "path", "energy")
+"""First words of the rows that mean nothing over several scenes."""
+FOOTNOTES = """\
+Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half height is entered. Collision:
+the centre of mass touches an obstacle. Flights start at rest, within the jitter of the scene's start. Times, lengths and
+energy are medians over the flights that arrive: time from the start to the first step within 0.5 m (0.2 m) of the goal,
+energy and path up to the success. A flight that never comes within 0.2 m counts as endless there. Energy is the integral of
+squared jerk, the jerk from the mean acceleration of successive control steps. Clearance (centre of mass to obstacle surface),
+speed, acceleration and limits are over all flights; a step is over a limit above 3 m/s, 6 m/s^2 or 37.5 deg, by norm.
+"""
+PUBLISHED_NOTE = """\
+Published: time [s] / energy [m^2/s^5] of the 2025 paper, Table I. Its goals and its tolerance for "reached" are not public:
+goals here are fitted so that EGO-Planner's time agrees on maps 11, 12 and 15, and assumed on map 13. Its sampling of the
+energy is not public either, and the original planners' code gives up to twice the published energies. Compare times; read
+energies as orders of magnitude.
+"""
+
+
+def markdown(reports: Sequence[SceneReport]) -> str:
+    """The report as a Markdown table, a column per scene, followed by what its rows mean."""
+    rows = [["", *(report.name for report in reports)]]
+    for label, cell in ROWS:
+        blank = label.split()[0] in PER_SCENE
+        rows.append([label, *("" if blank and r.name == "all" else cell(r) for r in reports)])
+    compared = any(report.name in PUBLISHED for report in reports)
+    if compared:
+        rows += [[f"{planner}, published", *(_published(r, planner) for r in reports)] for planner in PLANNERS]
+    text = f"{_aligned(rows)}\n{FOOTNOTES}"
+    return f"{text}\n{PUBLISHED_NOTE}" if compared else text
+
+
+def failures(reports: Sequence[SceneReport]) -> str:
+    """How the flights ended that did not arrive, one line per scene."""
+    lines = []
+    for report in reports:
+        lost = {name: count for name, count in report.outcomes.items() if name != "success"}
+        if lost and report.name != "all":
+            lines.append(f"{report.name}: " + ", ".join(f"{n} {name}" for name, n in lost.items()))
+    return "\n".join(lines)
+
+
+def summary(reports: Sequence[SceneReport]) -> dict[str, Any]:
+    """The report for programs: rates over all flights, and per scene its numbers."""
+    overall = reports[-1]
+    return {
+        "episodes": overall.episodes,
+        "success_rate": overall.success_rate,
+        "collision_rate": overall.collision_rate,
+        "scenes": {r.name: _rounded(asdict(r)) for r in reports if r.name != "all"},
+    }
+
+
+def write_scenes(reports: Sequence[SceneReport], path: Path) -> None:
+    """One row per scene, one column per number."""
+    rows = [{**_rounded(asdict(report)), "outcomes": _joined(report.outcomes)} for report in reports]
+    _write(path, list(rows[0]), (list(row.values()) for row in rows))
+
+
+def write_flights(table: Mapping[str, np.ndarray], path: Path) -> None:
+    """One row per flight, one column per number."""
+    _write(path, list(table), zip(*(column.tolist() for column in table.values()), strict=True))
+
+
+def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table that reads well as plain text, too."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = [_line([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]) for row in rows]
+    rule = _line(["-" * widths[0], *("-" * (w - 1) + ":" for w in widths[1:])])
+    return "\n".join([lines[0], rule, *lines[1:]]) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _published(report: SceneReport, planner: str) -> str:
+    if report.name not in PUBLISHED:
+        return ""
+    result = PUBLISHED[report.name][planner]
+    return "fails" if result is None else f"{result[0]:.2f} / {result[1]:.0f}"
+
+
+def _percent(share: float) -> str:
+    return _number(100 * share, 1)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _joined(outcomes: Mapping[str, int]) -> str:
+    return " ".join(f"{name}:{count}" for name, count in outcomes.items())
+
+
+def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Floats to six digits: float32 has no more."""
+    return {k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in values.items()}
