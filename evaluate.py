@@ -1,10 +1,10 @@
 """Flies a policy through scenes and reports what came of it.
 
-    python evaluate.py                                      the shipped policy on the paper's four maps
-    python evaluate.py policy=runs/2025-11-22/10-00-00_train    a policy of your own
-    python evaluate.py 'scenes=[random_boxes]' flights=50   another scene of conf/scene
-    python evaluate.py 'scenes=[training]' flights=1000     episodes as in training, never trained on
-    python evaluate.py 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'    a number of the scene
+python evaluate.py                                      the shipped policy on the paper's four maps
+python evaluate.py policy=runs/2025-11-22/10-00-00_train    a policy of your own
+python evaluate.py 'scenes=[random_boxes]' flights=50   another scene of conf/scene
+python evaluate.py 'scenes=[training]' flights=1000     episodes as in training, never trained on
+python evaluate.py 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'    a number of the scene
 """
 
 import sys

@@ -19,7 +19,7 @@ from resc.envs.quadrotor import QuadrotorEnv
 
 ROOT = Path(__file__).parents[1]
 TASKS = {"kinematics": ["+experiment=obstacle_free"], "kgp_esdf": []}
-"""Overrides of the tasks measured: without obstacles, and with the published obstacle observation."""
+"""Overrides of the tasks measured: without obstacles, with the published observation of them."""
 DRAWN_STEPS = 64
 """Steps of random actions drawn beforehand, then used over and over."""
 BUSY_BELOW = 0.9

@@ -1,13 +1,12 @@
-"""An evaluation from beginning to end: lay out, fly, report."""
+"""An evaluation from beginning to end: lay out, plan, fly, report."""
 
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
-from resc.errors import ConfigError
 from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.flights import Flights, fly
 from resc.evaluation.picture import Flown, draw_overview, draw_scene
@@ -19,31 +18,120 @@ from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
 from resc.recording.rollouts import open_recorder, provenance
 
+ROLLOUTS = "rollouts"
+Settings = Mapping[str, Any]
 
-def evaluate(
-    config: DictConfig, policy: Policy, scenes: Mapping[str, Mapping[str, Any]], folder: Path
-) -> str:
-    """Flies every scene, leaves tables, pictures, recording and summary in the folder; returns the report.
+
+def evaluate(config: Settings, policy: Policy, scenes: Mapping[str, Settings], folder: Path) -> str:
+    """Flies every scene and leaves tables, pictures, recording and summary in the folder.
+
+    Returns the report, and where to find the rest.
 
     Raises:
         PlanningError: A flight has no path.
-        CheckpointError: The policy expects another observation.
+        CheckpointError: The policy expects another observation than its configuration describes.
     """
     began = time.perf_counter()
-    folder.mkdir(parents=True, exist_ok=True)
-    stored = policy.config
+    stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
     planner = planner_for({**config, "env": config["env"] or stored["env"]})
-    if planner is None:
-        raise ConfigError("search is empty; choose one, e.g. search=visibility.")
+    allowed = config["allowed_targets"]
     courses = lay_out(
-        scenes,
-        config["flights"],
-        seed=config["seed"],
-        planner=planner,
-        allowed=config["allowed_targets"],
+        scenes, config["flights"], seed=config["seed"], planner=planner, allowed=allowed
     )
-    OmegaConf.save(config, folder / "config.yaml", resolve=True)
-    flown = fly_courses(courses, policy, config, folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    OmegaConf.save(OmegaConf.create(dict(config)), folder / "config.yaml")
+    rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}
+    flown = fly_courses(courses, policy, rules, folder)
+    tables = [tabulate(course, flown[course.name]) for course in courses]
+    reports = report_scenes(tables)
+    pictured = []
+    for course, report in zip(courses, reports, strict=False):
+        settings = rules[course.own_routes]
+        radius = settings["task"]["control_points"].get("radius_m", 0.5)
+        resolution = settings["env"]["resolution_m"]
+        pictured.append(Flown(course, flown[course.name], report, radius, resolution))
+    for scene in pictured:
+        draw_scene(scene, folder / f"flight_{scene.course.name}.png")
+    draw_overview(pictured, folder / "flights.png")
+    write_scenes(reports, folder / "scenes.csv")
+    write_flights(join(tables), folder / "flights.csv")
+    text = f"{markdown(reports)}\n{failures(reports)}".rstrip() + "\n"
+    (folder / "report.md").write_text(f"# {config['policy']}\n\n{text}")
     frames = sum(flights.frames for flights in flown.values())
-    flying_s = sum(flights.wall_s for flights in flown.values())
-    ...
+    flying_s = {flights.wall_s for flights in flown.values()}
+    figures = {
+        "frames": frames,
+        "wall_s": time.perf_counter() - began,
+        "frames_per_s": frames / sum(flying_s),
+        **summary(reports),
+        "policy": str(Path(config["policy"]).resolve()),
+        "seed": config["seed"],
+        **provenance(),
+    }
+    finish_run(folder, figures)
+    return f"{text}\n{_left_in(folder)}"
+
+
+def fly_courses(
+    courses: Sequence[Course], policy: Policy, rules: Mapping[bool, Settings], folder: Path
+) -> dict[str, Flights]:
+    """The flights of every course: all at once where the same rules hold.
+
+    Args:
+        courses: What to fly.
+        policy: What flies.
+        rules: Settings of the environment, by whether the scenes bring their own routes.
+        folder: Where the recordings go, each set of rules in one of its own.
+    """
+    flown: dict[str, Flights] = {}
+    for own_routes, settings in rules.items():
+        group = [course for course in courses if course.own_routes == own_routes]
+        if group:
+            mixed = len(group) < len(courses) and own_routes
+            directory = folder / (f"{ROLLOUTS}_own_routes" if mixed else ROLLOUTS)
+            flown |= _fly_together(group, policy, settings, directory)
+    return flown
+
+
+def _fly_together(
+    courses: Sequence[Course], policy: Policy, settings: Settings, directory: Path
+) -> dict[str, Flights]:
+    env = build_flying_env(courses, settings)
+    policy.require_layout(env.stages)
+    recorder = open_recorder(
+        OmegaConf.create(dict(settings)),
+        env.stages,
+        directory=directory,
+        outcomes=env.stages.outcomes,
+        num_envs=env.num_envs,
+    )
+    try:
+        flights = fly(env, policy, recorder=recorder)
+    finally:
+        if recorder is not None:
+            recorder.close()
+    flown, first = {}, 0
+    for course in courses:
+        flown[course.name] = flights.rows(first, first + len(course))
+        first += len(course)
+    return flown
+
+
+def _left_in(folder: Path) -> str:
+    """The files of a run, with what they are."""
+    recordings = sorted(folder.glob(f"{ROLLOUTS}*"))
+    lines = [
+        ("report", folder / "report.md"),
+        ("numbers", folder / "scenes.csv"),
+        ("", folder / "flights.csv"),
+        ("", folder / "summary.json"),
+        ("picture", folder / "flights.png"),
+        *(("recording", directory) for directory in recordings),
+    ]
+    return "\n".join(f"{label:<10}{_near(path)}" for label, path in lines)
+
+
+def _near(path: Path) -> Path:
+    """The path as seen from the working directory, if that is shorter."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path

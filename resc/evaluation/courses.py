@@ -19,8 +19,9 @@ from resc.scenes.layout import Layout
 class Course:
     """One scene of the list with a start and a route for every flight.
 
-    `planned_m` is the polyline of each flight. `own_routes`: the scene laid the routes out itself, so the flights obey the task
-    and the terminations of the training; all others lead from rest to the goal of a planned path.
+    `planned_m` is the polyline of each flight. `own_routes`: the scene laid the routes out itself,
+    so its flights obey the task and the terminations of the training; all others lead from rest to
+    the goal of a planned path.
     """
 
     name: str
@@ -60,15 +61,16 @@ def lay_out(
     flights: int,
     *,
     seed: int,
-    planner: RoutePlanner,
+    planner: RoutePlanner | None,
     allowed: Iterable[str] = (),
 ) -> list[Course]:
     """The courses of a list of scene configurations, `flights` of each.
 
-    Every scene draws from a generator of its own, so adding one to the list leaves the others as they were.
+    Every scene draws from a generator of its own, so adding one to the list leaves the others as
+    they were.
 
     Raises:
-        ConfigError: No scene, or less than one flight.
+        ConfigError: No scene, less than one flight, or no planner for a scene that needs one.
         PlanningError: A flight has no path.
     """
     if not scenes:
@@ -82,6 +84,10 @@ def lay_out(
         own_routes = bool((layout.route_length > 0).all())
         if own_routes:
             planned = _lines(layout)
+        elif planner is None:
+            raise ConfigError(
+                f"scene {name} only knows its goal, and search is none; set search=visibility."
+            )
         else:
             layout = planner(layout, name)
             planned = [path.points_m for path in planner.paths]

@@ -1,5 +1,7 @@
 """Flights as a recording: the columns of training, one episode per environment."""
 
+from typing import cast
+
 import torch
 from jaxtyping import Bool, Float
 from tensordict import TensorDict, TensorDictBase
@@ -59,8 +61,9 @@ class FlightLog:
         """Hands over the steps collected so far."""
         if not self.steps:
             return
-        episodes = torch.cat(self.ended) if self.ended else None
-        self.recorder.put(torch.stack(self.steps), self.first_step, with_success(episodes))
+        steps = cast(TensorDict, TensorDict.stack(self.steps))
+        episodes = cast(TensorDict, TensorDict.cat(self.ended)) if self.ended else None
+        self.recorder.put(steps, self.first_step, with_success(episodes))
         self.first_step += len(self.steps)
         self.steps, self.ended = [], []
 

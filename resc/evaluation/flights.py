@@ -25,8 +25,8 @@ Policy = Callable[[Tensor], Tensor]
 class Flights:
     """What came of one episode per row; all on the CPU.
 
-    `position_w` and `velocity_w` begin with the start, and stay at their last value once a flight is
-    over. `counted` is the number of steps up to the finish, over which the metrics run.
+    `position_w` and `velocity_w` begin with the start, and stay at their last value once a flight
+    is over. `counted` is the number of steps up to the finish, over which the metrics run.
     """
 
     outcomes: tuple[str, ...]
@@ -103,7 +103,7 @@ def fly(
     traces = [_state_of(env)]
     with tqdm(total=env.num_envs, unit="flight", disable=None, leave=False) as bar:
         while not over.all():
-            # A row that waits gets a hover command: its state is put back, but must stay finite until then.
+            # A row that waits hovers: its state is put back, but must stay finite until then.
             action = torch.where(over, 0.0, policy(observation))
             before = env.world
             counted += ~(over | env.value_of(keys.FINISHED))

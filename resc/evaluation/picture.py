@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize
 from matplotlib.lines import Line2D
@@ -21,15 +22,16 @@ from resc.maps.distance_transform import distance_transform
 from resc.scenes.layout import rasterize
 
 mpl.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402 - the backend comes first
+from matplotlib import pyplot as plt
 
 PANELS = 9
-"""Flights shown of a scene whose every flight has another map: the first ones, whatever came of them."""
+"""Flights shown of a scene whose maps differ: the first ones, whatever came of them."""
 SHADE_M = 1.5
 """Distance from which on the background no longer changes."""
 SPEED_MPS = 3.0
 """Speed limit of the paper: the least range of the colours, so that slow flights look slow."""
 OBSTACLE, PLAN, GRID = "#39424e", "#20262e", "#8a94a3"
+DASHES = (0, (4, 2.5))
 COLLISION, LOST = "#d7263d", "#b35c00"
 BACKGROUND = LinearSegmentedColormap.from_list("distance", ["#b4c0d2", "#fbfcfd"])
 """One hue from grey blue to nearly white: between colours this close sRGB is as good as uniform."""
@@ -39,87 +41,78 @@ SPEED = ListedColormap(mpl.colormaps["plasma"](np.linspace(0, 0.86, 256)))
 
 @dataclass(frozen=True)
 class Flown:
-    """One scene's course, its flights and their report."""
+    """One scene's course, its flights and their report, and two numbers to draw them with."""
 
     course: Course
     flights: Flights
     report: SceneReport
+    column_radius_m: float
+    resolution_m: float
 
 
-def draw_scene(flown: Flown, path: Path, *, column_radius_m: float, resolution_m: float) -> None:
-    """One scene: all flights over their map or, where maps differ, a panel for each of the first."""
-    shown = _panels(flown)
-    columns = math.ceil(math.sqrt(len(shown)))
-    title = _caption(flown.report)
-    if not flown.course.one_map and len(flown.course) > len(shown):
-        title += f" · the first {len(shown)} shown"
-    panels = [(flown, rows, "" if len(shown) > 1 else None) for rows in shown]
-    _draw(
-        panels,
-        path,
-        columns=columns,
-        title=f"{flown.course.name}: {title}" if len(shown) > 1 else None,
-        column_radius_m=column_radius_m,
-        resolution_m=resolution_m,
-    )
+@dataclass(frozen=True)
+class Panel:
+    """Flights drawn over one map, and what stands above them to the left and right."""
+
+    flown: Flown
+    shown: Sequence[int]
+    left: str
+    right: str
 
 
-def draw_overview(
-    scenes: Sequence[Flown], path: Path, *, column_radius_m: float, resolution_m: float
-) -> None:
+def draw_scene(flown: Flown, path: Path) -> None:
+    """One scene: all flights over their map; where maps differ, a panel for each of the first."""
+    if flown.course.one_map:
+        _draw([_scene_panel(flown)], path)
+        return
+    numbers = range(min(len(flown.course), PANELS))
+    title = f"{flown.course.name}: {_caption(flown.report)}"
+    if len(numbers) < len(flown.course):
+        title += f" · the first {len(numbers)} shown"
+    _draw([_flight_panel(flown, number) for number in numbers], path, title=title)
+
+
+def draw_overview(scenes: Sequence[Flown], path: Path) -> None:
     """All scenes side by side; of a scene whose maps differ, the first flight."""
-    panels = [(flown, _panels(flown)[0], None) for flown in scenes]
-    _draw(
-        panels,
-        path,
-        columns=2 if 1 < len(panels) <= 4 else math.ceil(math.sqrt(len(panels))),
-        title=None,
-        column_radius_m=column_radius_m,
-        resolution_m=resolution_m,
-    )
+    _draw([_scene_panel(flown) for flown in scenes], path)
 
 
-Panel = tuple[Flown, Sequence[int], str | None]
+def _scene_panel(flown: Flown) -> Panel:
+    """All flights of a scene, or the first if maps differ."""
+    shown = range(len(flown.course)) if flown.course.one_map else [0]
+    return Panel(flown, shown, flown.course.name, _caption(flown.report))
 
 
-def _panels(flown: Flown) -> list[Sequence[int]]:
-    """The flights of each panel."""
-    count = len(flown.course)
-    return [range(count)] if flown.course.one_map else [[i] for i in range(min(count, PANELS))]
+def _flight_panel(flown: Flown, number: int) -> Panel:
+    flights = flown.flights
+    seconds = int(flights.counted[number]) * flights.dt_s
+    fate = f"{seconds:.2f} s" if flights.success[number] else flights.names[number]
+    return Panel(flown, [number], f"flight {number}", fate)
 
 
-def _draw(
-    panels: Sequence[Panel],
-    path: Path,
-    *,
-    columns: int,
-    title: str | None,
-    column_radius_m: float,
-    resolution_m: float,
-) -> None:
+def _draw(panels: Sequence[Panel], path: Path, title: str | None = None) -> None:
+    """Panels in a grid that is as wide as high, with one colour bar and one legend."""
+    columns = math.ceil(math.sqrt(len(panels)))
     rows = math.ceil(len(panels) / columns)
-    extents = [flown.course.layout.size[list(shown)[0]].tolist() for flown, shown, _ in panels]
-    aspect = max(y / x for x, y in extents)
-    width = 9.0 if columns > 1 else 7.2
-    panel = (width - 1.0) / columns
-    height = rows * (panel * aspect + 0.3) + 0.45 + (0.3 if title else 0)
-    small = columns > 2
-    with plt.rc_context({"font.size": 8 if small else 10, "font.family": "DejaVu Sans"}):
+    size = (9.0 if columns > 1 else 7.2, 0.45 + 0.3 * bool(title))
+    aspect = max(_aspect(panel) for panel in panels)
+    height = size[1] + rows * (aspect * (size[0] - 1.0) / columns + 0.3)
+    norm = Normalize(0, max(SPEED_MPS, *(_top_speed(panel) for panel in panels)))
+    with plt.rc_context({"font.size": 8 if columns > 2 else 10, "font.family": "DejaVu Sans"}):
         figure, grid = plt.subplots(
-            rows, columns, figsize=(width, height), layout="constrained", squeeze=False
+            rows, columns, figsize=(size[0], height), layout="constrained", squeeze=False
         )
-        norm = Normalize(0, max(SPEED_MPS, *(_top_speed(flown, shown) for flown, shown, _ in panels)))
         for axes in grid.flat[len(panels) :]:
             axes.set_axis_off()
-        for axes, (flown, shown, caption) in zip(grid.flat, panels, strict=False):
-            _draw_panel(axes, flown, shown, norm, column_radius_m, resolution_m)
-            _caption_panel(axes, flown, caption)
-        colours = mpl.cm.ScalarMappable(norm=norm, cmap=SPEED)
+        for axes, panel in zip(grid.flat, panels, strict=False):
+            _draw_panel(axes, panel, norm)
+        colours = ScalarMappable(norm=norm, cmap=SPEED)
         bar = figure.colorbar(colours, ax=grid, fraction=0.03, pad=0.015, aspect=30, shrink=0.6)
         bar.set_label("speed [m/s]")
         bar.outline.set_visible(False)
+        entries = _legend(panels)
         figure.legend(
-            handles=_legend(panels), loc="outside lower center", ncols=6, frameon=False, fontsize=9
+            handles=entries, loc="outside lower center", ncols=6, frameon=False, fontsize=9
         )
         if title:
             figure.suptitle(title, fontsize=10)
@@ -127,19 +120,13 @@ def _draw(
         plt.close(figure)
 
 
-def _draw_panel(
-    axes: Axes,
-    flown: Flown,
-    shown: Sequence[int],
-    norm: Normalize,
-    column_radius_m: float,
-    resolution_m: float,
-) -> None:
+def _draw_panel(axes: Axes, panel: Panel, norm: Normalize) -> None:
+    flown, shown = panel.flown, panel.shown
     first = shown[0]
     layout = flown.course.layout
     (x, y), (width, height) = layout.origin_w[first].tolist(), layout.size[first].tolist()
     axes.imshow(
-        _distance(flown.course, first, resolution_m),
+        _distance(flown.course, first, flown.resolution_m),
         extent=(x, x + width, y, y + height),
         origin="lower",
         cmap=BACKGROUND,
@@ -149,10 +136,12 @@ def _draw_panel(
     )
     boxes = [Rectangle((bx, by), lx, ly) for bx, by, lx, ly in layout.boxes_w[first].tolist()]
     axes.add_collection(PatchCollection(boxes, facecolor=OBSTACLE, edgecolor="none"))
-    _draw_plan(axes, flown.course, first, column_radius_m)
+    _draw_plan(axes, flown.course, first, flown.column_radius_m)
     _draw_trajectories(axes, flown.flights, shown, norm)
     _draw_ends(axes, flown, shown)
     axes.set(xlim=(x, x + width), ylim=(y, y + height), aspect="equal")
+    axes.set_title(panel.left, loc="left", fontweight="bold", fontsize="medium")
+    axes.set_title(panel.right, loc="right", fontsize="small", color="#3a434f")
     axes.tick_params(length=2, color=GRID, labelcolor="#5a6472", labelsize="small")
     for spine in axes.spines.values():
         spine.set_color(GRID)
@@ -160,7 +149,7 @@ def _draw_panel(
 
 def _draw_plan(axes: Axes, course: Course, number: int, radius: float) -> None:
     line = course.planned_m[number]
-    axes.plot(*line.T, color=PLAN, linewidth=1.0, linestyle=(0, (4, 2.5)), zorder=2.5)
+    axes.plot(*line.T, color=PLAN, linewidth=1.0, linestyle=DASHES, zorder=2.5)
     length = int(course.layout.route_length[number, 0])
     points = course.layout.route_w[number, :length, :2].numpy()
     columns = PatchCollection([Circle(point, radius) for point in points], zorder=2.2)
@@ -169,9 +158,7 @@ def _draw_plan(axes: Axes, course: Course, number: int, radius: float) -> None:
     axes.scatter(*points.T, s=9, color=PLAN, linewidths=0, zorder=2.6)
 
 
-def _draw_trajectories(
-    axes: Axes, flights: Flights, shown: Sequence[int], norm: Normalize
-) -> None:
+def _draw_trajectories(axes: Axes, flights: Flights, shown: Sequence[int], norm: Normalize) -> None:
     for number in shown:
         position, speed = _trace(flights, number)
         pieces = np.stack((position[:-1], position[1:]), 1)
@@ -199,37 +186,56 @@ def _draw_ends(axes: Axes, flown: Flown, shown: Sequence[int]) -> None:
         )  # fmt: skip
 
 
-def _caption_panel(axes: Axes, flown: Flown, caption: str | None) -> None:
-    if caption is not None:
-        axes.set_title(caption, fontsize="small")
-        return
-    axes.set_title(flown.course.name, loc="left", fontweight="bold", fontsize=10)
-    axes.set_title(_caption(flown.report), loc="right", fontsize=9, color="#3a434f")
-
-
 def _caption(report: SceneReport) -> str:
     """Success and median time in a few words."""
     arrived = round(report.success_rate * report.episodes)
     text = f"{arrived} of {report.episodes} arrive"
-    return f"{text} · median {report.time_span_s:.2f} s" if math.isfinite(report.time_span_s) else text
+    return (
+        f"{text} · median {report.time_span_s:.2f} s" if math.isfinite(report.time_span_s) else text
+    )
 
 
 def _legend(panels: Sequence[Panel]) -> list[Line2D]:
     """What the marks mean; failures only where there are some."""
-    none = {"linestyle": "none", "markeredgecolor": PLAN, "markerfacecolor": "white"}
     entries = [
-        Line2D([], [], color=PLAN, linewidth=1.0, linestyle=(0, (4, 2.5)), label="planned path"),
-        Line2D([], [], marker="o", markersize=11, label="control point", markeredgewidth=0.6, **none),
-        Line2D([], [], marker="o", markersize=6, label="start", **none),
-        Line2D([], [], marker="*", markersize=11, label="goal", **none),
+        Line2D([], [], color=PLAN, linewidth=1.0, linestyle=DASHES, label="planned path"),
+        _mark("o", 11, "control point", edge_width=0.6),
+        _mark("o", 6, "start"),
+        _mark("*", 11, "goal"),
     ]
-    fates = {bool(f.flights.collided[i]) for f, s, _ in panels for i in s if not f.flights.success[i]}
-    for hit, marker, colour, label in ((True, "X", COLLISION, "collision"), (False, "D", LOST, "other failure")):
-        if hit in fates:
-            entries.append(
-                Line2D([], [], linestyle="none", marker=marker, color=colour, markeredgecolor="white", label=label)
-            )
+    lost = [
+        bool(panel.flown.flights.collided[number])
+        for panel in panels
+        for number in panel.shown
+        if not panel.flown.flights.success[number]
+    ]
+    if True in lost:
+        entries.append(_mark("X", 7, "collision", face=COLLISION, edge="white"))
+    if False in lost:
+        entries.append(_mark("D", 6, "other failure", face=LOST, edge="white"))
     return entries
+
+
+def _mark(
+    marker: str,
+    size: float,
+    label: str,
+    *,
+    face: str = "white",
+    edge: str = PLAN,
+    edge_width: float = 1.0,
+) -> Line2D:
+    return Line2D(
+        [],
+        [],
+        linestyle="none",
+        marker=marker,
+        markersize=size,
+        label=label,
+        markerfacecolor=face,
+        markeredgecolor=edge,
+        markeredgewidth=edge_width,
+    )
 
 
 def _trace(
@@ -241,8 +247,16 @@ def _trace(
     return flights.position_w[of, number, :2].numpy(), speed.numpy()
 
 
-def _top_speed(flown: Flown, shown: Sequence[int]) -> float:
-    return max(float(_trace(flown.flights, number)[1].max()) for number in shown)
+def _top_speed(panel: Panel) -> float:
+    """Greatest speed [m/s] of the flights drawn."""
+    traces = [_trace(panel.flown.flights, number) for number in panel.shown]
+    return max(float(speed.max()) for _, speed in traces)
+
+
+def _aspect(panel: Panel) -> float:
+    """Height of the map over its width."""
+    width, height = panel.flown.course.layout.size[panel.shown[0]].tolist()
+    return height / width
 
 
 def _distance(course: Course, number: int, resolution_m: float) -> Float[np.ndarray, "h w"]:

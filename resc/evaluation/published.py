@@ -1,4 +1,4 @@
-"""Published results on the paper's maps: time [s] and energy [m^2/s^5] of the 2025 paper's Table I."""
+"""Results on the paper's maps as published: time [s], energy [m^2/s^5] (2025 paper, Table I)."""
 
 PUBLISHED: dict[str, dict[str, tuple[float, float] | None]] = {
     "paper1_map11": {

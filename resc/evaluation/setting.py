@@ -1,4 +1,4 @@
-"""The environment of an evaluation: the policy's vehicle and senses, the evaluation's task and rules."""
+"""The environment of an evaluation: the policy's vehicle and senses, the evaluation's rules."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,7 +15,8 @@ from resc.scenes.pool import ScenePool
 STORED = ("env", "vehicle", "action", "rate_loop", "dynamics", "observation", "reward")
 """Groups taken from the policy's configuration, unless the command line names one."""
 MEASURING = ("limit_violations", "surface_clearance")
-"""Sensors that only metrics and terminations read: the evaluation's, whatever the policy trained with."""
+"""Sensors that metrics and terminations read: the evaluation's, not those of the training."""
+RUN = ("allowed_targets", "device", "compile", "seed", "recorder")
 
 
 def settings_for(
@@ -26,7 +27,7 @@ def settings_for(
     What the policy sees and moves comes from `stored`; what is asked of it and measured from
     `config`. Scenes with routes of their own are flown under the stored task and terminations.
     """
-    settings = {key: config[key] for key in ("allowed_targets", "device", "compile")}
+    settings = {key: config[key] for key in RUN}
     settings |= {group: config.get(group) or stored[group] for group in STORED}
     rules = stored if own_routes else config
     settings |= {group: rules[group] for group in ("task", "termination")}
@@ -36,10 +37,9 @@ def settings_for(
     return settings
 
 
-def build_flying_env(
-    courses: Sequence[Course], settings: Mapping[str, Any], *, seed: int
-) -> QuadrotorEnv:
+def build_flying_env(courses: Sequence[Course], settings: Mapping[str, Any]) -> QuadrotorEnv:
     """An environment with one row for every flight of the courses, in their order."""
+    seed = settings["seed"]
     layout = concatenate([course.layout for course in courses])
     pool = ScenePool(
         LaidOut(layout),

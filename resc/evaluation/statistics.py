@@ -21,7 +21,8 @@ Columns = Mapping[str, np.ndarray]
 class SceneReport:
     """Numbers of one scene, or of all together; NaN where no flight has the number.
 
-    Times, lengths and energy are medians over the flights that arrived; one that never came as close counts as endless.
+    Times, lengths and energy are medians over the flights that arrived; a time that one of them has
+    not counts as endless.
     Clearance, speed, acceleration and limits are over all flights, up to their finish.
     """
 
@@ -104,7 +105,10 @@ def summarise(name: str, table: Columns) -> SceneReport:
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % interval of a rate: (p + z^2/2n -+ z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n) (Wilson 1927)."""
+    """95 % interval of a rate (Wilson 1927).
+
+    (p + z^2/2n -+ z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n).
+    """
     share, z = successes / trials, Z_95
     scale = 1 + z * z / trials
     centre = share + z * z / (2 * trials)
@@ -113,7 +117,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def median(values: Float[np.ndarray, " n"]) -> float:
-    """The median; NaN of none. Infinite values stand at the end, so a minority of them does no harm."""
+    """The median; NaN of none. Infinite values stand at the end: few of them do no harm."""
     if len(values) == 0:
         return math.nan
     ordered = np.sort(values.astype(np.float64))

@@ -31,18 +31,22 @@ ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
 PER_SCENE = ("time", "path", "energy")
 """First words of the rows that mean nothing over several scenes."""
 FOOTNOTES = """\
-Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half height is entered. Collision:
-the centre of mass touches an obstacle. Flights start at rest, within the jitter of the scene's start. Times, lengths and
-energy are medians over the flights that arrive: time from the start to the first step within 0.5 m (0.2 m) of the goal,
-energy and path up to the success. A flight that never comes within 0.2 m counts as endless there. Energy is the integral of
-squared jerk, the jerk from the mean acceleration of successive control steps. Clearance (centre of mass to obstacle surface),
-speed, acceleration and limits are over all flights; a step is over a limit above 3 m/s, 6 m/s^2 or 37.5 deg, by norm.
+Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half
+height is entered. Collision: the centre of mass touches an obstacle. Flights start at rest, within
+the jitter of the scene's start; scenes that bring their own routes (training, free) are flown under
+the rules of the training instead. Times, lengths and energy are medians over the flights that
+arrive: time from the start to the first step within 0.5 m (0.2 m) of the goal, path and energy up
+to the success. A flight that never comes within 0.2 m counts as endless there. Energy is the
+integral of squared jerk; jerk is the change of the mean acceleration from one control step to the
+next. Clearance (centre of mass to obstacle surface), speed, acceleration and limits are over all
+flights; a step is over a limit above 3 m/s, 6 m/s^2 or 37.5 deg of roll or pitch.
 """
 PUBLISHED_NOTE = """\
-Published: time [s] / energy [m^2/s^5] of the 2025 paper, Table I. Its goals and its tolerance for "reached" are not public:
-goals here are fitted so that EGO-Planner's time agrees on maps 11, 12 and 15, and assumed on map 13. Its sampling of the
-energy is not public either, and the original planners' code gives up to twice the published energies. Compare times; read
-energies as orders of magnitude.
+Published: time [s] / energy [m^2/s^5], 2025 paper, Table I. Its goals and its tolerance for
+"reached" are not public: the goals here are fitted so that EGO-Planner's time agrees on maps 11, 12
+and 15, and assumed on map 13. How it samples the energy is not public either, and the original
+EGO-Planner comes out at about twice its published energies here. Compare times; take energies as
+orders of magnitude.
 """
 
 
@@ -54,7 +58,10 @@ def markdown(reports: Sequence[SceneReport]) -> str:
         rows.append([label, *("" if blank and r.name == "all" else cell(r) for r in reports)])
     compared = any(report.name in PUBLISHED for report in reports)
     if compared:
-        rows += [[f"{planner}, published", *(_published(r, planner) for r in reports)] for planner in PLANNERS]
+        rows += [
+            [f"{planner}, published", *(_published(r, planner) for r in reports)]
+            for planner in PLANNERS
+        ]
     text = f"{_aligned(rows)}\n{FOOTNOTES}"
     return f"{text}\n{PUBLISHED_NOTE}" if compared else text
 
@@ -82,7 +89,9 @@ def summary(reports: Sequence[SceneReport]) -> dict[str, Any]:
 
 def write_scenes(reports: Sequence[SceneReport], path: Path) -> None:
     """One row per scene, one column per number."""
-    rows = [{**_rounded(asdict(report)), "outcomes": _joined(report.outcomes)} for report in reports]
+    rows = [
+        {**_rounded(asdict(report)), "outcomes": _joined(report.outcomes)} for report in reports
+    ]
     _write(path, list(rows[0]), (list(row.values()) for row in rows))
 
 
@@ -101,7 +110,15 @@ def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> 
 def _aligned(rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table that reads well as plain text, too."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = [_line([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]) for row in rows]
+    lines = [
+        _line(
+            [
+                row[0].ljust(widths[0]),
+                *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True)),
+            ]
+        )
+        for row in rows
+    ]
     rule = _line(["-" * widths[0], *("-" * (w - 1) + ":" for w in widths[1:])])
     return "\n".join([lines[0], rule, *lines[1:]]) + "\n"
 

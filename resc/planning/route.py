@@ -16,7 +16,7 @@ from resc.planning.visibility_search import PlannedPath, PreparedMap, Visibility
 from resc.scenes.layout import Layout, rasterize
 
 MAPS_KEPT = 64
-"""Prepared maps kept for the next call; a run over random maps meets more than memory should hold."""
+"""Prepared maps kept for the next call; random maps are never met again, so few are enough."""
 
 
 class RoutePlanner:
@@ -55,7 +55,7 @@ class RoutePlanner:
         self.search = VisibilitySearch(clearance_m, resolution_m, max_expansions)
         self.spacing_m = (float(spacing_m[0]), float(spacing_m[1]))
         self.nominal_m = nominal_m
-        self.rule = rule
+        self.rule: Literal["visible", "released"] = rule
         self.paths: list[PlannedPath] = []
         self._maps: dict[bytes, PreparedMap] = {}
 

@@ -1,0 +1,62 @@
+"""What every test shares: one thread, and configurations composed from `conf/`."""
+
+import functools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from omegaconf import DictConfig, OmegaConf
+
+import resc.schema
+from resc.build import build_env, build_pool, build_stages
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import Stages
+
+CONF = Path(__file__).parents[1] / "conf"
+
+torch.set_num_threads(1)  # the tests share few cores; threads of torch would only wait for each other
+
+
+@pytest.fixture(scope="session")
+def compose() -> Iterator[Callable[..., DictConfig]]:
+    """`compose(*overrides)`: the configuration of conf/train.yaml, uncompiled, on the CPU."""
+    resc.schema.register()
+
+    @functools.cache
+    def composed(overrides: tuple[str, ...]) -> DictConfig:
+        return hydra_compose("train", ["compile=false", "num_envs=4", *overrides])
+
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        yield lambda *overrides: composed(overrides).copy()
+
+
+@pytest.fixture(scope="session")
+def make_stages(compose: Callable[..., DictConfig]) -> Callable[..., Stages]:
+    """`make_stages(*overrides)`: the step and the reset."""
+    return lambda *overrides: build_stages(compose(*overrides))
+
+
+@pytest.fixture(scope="session")
+def make_env(compose: Callable[..., DictConfig]) -> Callable[..., QuadrotorEnv]:
+    """`make_env(*overrides, seed=0, scenes=8, **options)`: an environment that has not been reset yet."""
+
+    def make(*overrides: str, seed: int = 0, scenes: int = 8, **options: Any) -> QuadrotorEnv:
+        config = compose(*overrides)
+        return build_env(config, build_pool(config, size=scenes, seed=seed), seed=seed, **options)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def load_part(compose: Callable[..., DictConfig]) -> Callable[[str, str], Any]:
+    """`load_part(group, name)`: what conf/<group>/<name>.yaml says, its defaults filled in."""
+
+    def load(group: str, name: str) -> Any:
+        node = OmegaConf.load(CONF / group / f"{name}.yaml")
+        return compose(f"{group}={name}")[group] if "defaults" in node else node
+
+    return load
