@@ -34,7 +34,7 @@ def main(config: DictConfig) -> None:
     try:
         run(config, Path(HydraConfig.get().runtime.output_dir))
     except RescError as error:
-        sys.exit(f"error: {error}")
+        sys.exit("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]))
 
 
 def run(config: DictConfig, folder: Path) -> None:

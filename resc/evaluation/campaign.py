@@ -9,7 +9,8 @@ from omegaconf import OmegaConf
 
 from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.flights import Flights, fly
-from resc.evaluation.picture import Flown, draw_overview, draw_scene
+from resc.evaluation.panel import Flown
+from resc.evaluation.picture import draw_overview, draw_scene
 from resc.evaluation.run_folder import finish_run
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.evaluation.statistics import join, report_scenes, tabulate
@@ -64,7 +65,7 @@ def evaluate(config: Settings, policy: Policy, scenes: Mapping[str, Settings], f
         "wall_s": time.perf_counter() - began,
         "frames_per_s": frames / sum(flying_s),
         **summary(reports),
-        "policy": str(Path(config["policy"]).resolve()),
+        "policy": str(_near(Path(config["policy"]).resolve())),
         "seed": config["seed"],
         **provenance(),
     }

@@ -14,6 +14,9 @@ from resc.evaluation.flights import Flights
 Z_95 = 1.959964
 """Two-sided 95 % quantile of the normal distribution."""
 
+CLOSE_M = 0.3
+"""Radius by which the paper inflates obstacles: what training and planners keep clear of."""
+
 Columns = Mapping[str, np.ndarray]
 
 
@@ -32,6 +35,7 @@ class SceneReport:
     success_low: float
     success_high: float
     collision_rate: float
+    close_rate: float
     outcomes: dict[str, int]
     time_span_s: float
     time_within_fifth_s: float
@@ -90,6 +94,7 @@ def summarise(name: str, table: Columns) -> SceneReport:
         success_low=low,
         success_high=high,
         collision_rate=float(table["collided"].mean()),
+        close_rate=float((of("least_clearance") < CLOSE_M).mean()),
         outcomes=dict(Counter(table["outcome"].tolist()).most_common()),
         time_span_s=median(of("time_within_half_metre")[arrived]),
         time_within_fifth_s=median(of("time_within_fifth_metre")[arrived]),

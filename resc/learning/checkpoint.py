@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDict
 from torch import Tensor, nn
 
 from resc.build import build, load_config
@@ -140,8 +141,9 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
     trainer.order.set_state(content["order"].cpu())
     trainer.statistics.load_state(content["statistics"])
     env.pool.load_state(content["pool"])
-    env.world = {tuple(name.split("/")): value for name, value in content["world"].items()}
-    env.observation = content["observation"]
+    world = {tuple(name.split("/")): value for name, value in content["world"].items()}
+    env.world = TensorDict(world, batch_size=[env.num_envs], device=env.device)
+    env.observation = content["observation"].to(env.device)
     env.load_generator_states({name: state.cpu() for name, state in content["generators"].items()})
 
 
@@ -164,8 +166,9 @@ def read(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except (RuntimeError, EOFError, pickle.UnpicklingError, ValueError, KeyError, OSError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise CheckpointError(
-            f"{path} cannot be read ({str(error).splitlines()[0][:120]}); it is cut short, not a RESC file, or holds code."
+            f"{path} cannot be read ({reason}); it is cut short, not a RESC file, or holds code."
         ) from None
     if not isinstance(content, dict) or any(name not in content for name in names):
         raise CheckpointError(f"{path} lacks {', '.join(names)}; it was not written by RESC.")

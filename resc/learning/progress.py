@@ -3,7 +3,6 @@
 import csv
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
 import matplotlib as mpl
 
@@ -11,18 +10,6 @@ from resc.envs.stages import Stages
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # noqa: E402 - the backend comes first
-
-
-class Logger(Protocol):
-    """Where figures go beside progress.csv."""
-
-    def log(self, figures: Mapping[str, float], frames: int) -> None:
-        """Takes one batch's figures."""
-        ...
-
-    def close(self) -> None:
-        """Finishes its files."""
-        ...
 
 
 class CsvLogger:
@@ -54,6 +41,9 @@ class TensorboardLogger:
     def close(self) -> None:
         """Flushes the events."""
         self.writer.close()
+
+
+Logger = CsvLogger | TensorboardLogger
 
 
 class ProgressTable:

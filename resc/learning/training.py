@@ -10,6 +10,7 @@ from types import FrameType
 
 from tqdm import tqdm
 
+from resc.errors import RecordingError
 from resc.learning.checkpoint import CHECKPOINT, save_checkpoint
 from resc.learning.ppo import Ppo
 from resc.learning.progress import Logger, ProgressTable
@@ -68,14 +69,14 @@ def train(
             figures = trainer.iterate()
             try:
                 _record(trainer, recorder)
-            except BaseException:
-                save_checkpoint(folder / CHECKPOINT, trainer)
+            except RecordingError as error:
+                _save_in_need(trainer, folder, error)
                 raise
             figures |= trainer.statistics.rates() | _reward_terms(trainer)
             figures["speed/steps_per_s"] = trainer.batch_frames / (time.monotonic() - began)
-            figures["episode/total"] = trainer.statistics.total
+            figures["episode/total"] = float(trainer.statistics.total)
             logger.log(figures, trainer.frames)
-            table.add({"frames": trainer.frames, **figures})
+            table.add({"frames": float(trainer.frames), **figures})
             bar.set_postfix_str(_summary(figures), refresh=False)
             bar.update(trainer.batch_frames)
             if time.monotonic() - saved_at > checkpoint_every_s:
@@ -83,6 +84,14 @@ def train(
                 saved_at = time.monotonic()
     save_checkpoint(folder / CHECKPOINT, trainer)
     return trainer.frames >= total_frames
+
+
+def _save_in_need(trainer: Ppo, folder: Path, error: RecordingError) -> None:
+    """Saves the checkpoint although the recorder failed; the disk may have no room for that either."""
+    try:
+        save_checkpoint(folder / CHECKPOINT, trainer)
+    except OSError as failure:
+        error.add_note(f"The checkpoint could not be saved ({failure}); the one before stays as it is.")
 
 
 def _record(trainer: Ppo, recorder: RolloutRecorder | None) -> None:

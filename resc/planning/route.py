@@ -41,7 +41,7 @@ class RoutePlanner:
         max_expansions: int,
         spacing_m: Sequence[float],
         nominal_m: float,
-        rule: Literal["visible", "released"] = "visible",
+        rule: str = "visible",
         resolution_m: float,
     ) -> None:
         if max_expansions < 1:

@@ -24,6 +24,8 @@ class RateLoop(Term):
 
     def __init__(self, *, gains: Sequence[float]) -> None:
         super().__init__()
+        if len(gains) != 3:
+            raise ConfigError(f"gains is {list(gains)}; expected 3 numbers: roll, pitch, yaw.")
         self.register_buffer("gains", torch.tensor(list(gains), dtype=torch.float32), persistent=False)
 
 

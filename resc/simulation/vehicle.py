@@ -37,6 +37,10 @@ class Vehicle:
         torque_coefficient_m: float,
         thrust_polynomial_n: Sequence[float],
     ) -> None:
+        lists = {"inertia_kgm2": (inertia_kgm2, 3), "arm_y_m": (arm_y_m, 2), "thrust_polynomial_n": (thrust_polynomial_n, 3)}
+        for name, (numbers, count) in lists.items():
+            if len(numbers) != count:
+                raise ConfigError(f"{name} is {list(numbers)}; expected {count} numbers.")
         positive = {"mass_kg": [mass_kg], "inertia_kgm2": inertia_kgm2, "arm_x_m": [arm_x_m], "arm_y_m": arm_y_m}
         for name, values in positive.items():
             if min(values) <= 0:

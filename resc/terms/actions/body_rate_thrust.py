@@ -37,6 +37,8 @@ class BodyRateThrust(Action):
         longest_delay_steps: int = 3,
     ) -> None:
         super().__init__()
+        if len(rate_limit_radps) != 3:
+            raise ConfigError(f"rate_limit_radps is {list(rate_limit_radps)}; expected 3 numbers: roll, pitch, yaw.")
         low, high = thrust_range_g
         if not 0 <= low < high:
             raise ConfigError(f"thrust_range_g is [{low}, {high}]; expected 0 <= low < high.")

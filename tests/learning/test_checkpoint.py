@@ -1,0 +1,112 @@
+"""Policies and checkpoints: read as data, refused with one sentence when they do not fit."""
+
+import pickle
+
+import pytest
+import torch
+
+from resc.errors import CheckpointError, ConfigError
+from resc.learning.assemble import build_trainer
+from resc.learning.checkpoint import (
+    CONFIG,
+    POLICY,
+    load_checkpoint,
+    load_policy,
+    save_checkpoint,
+    save_policy,
+)
+from test_ppo import SMALL
+
+
+class Hostile:
+    """Writes a file when unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (str(self.path), "w"))
+
+
+@pytest.fixture
+def config(compose):
+    return compose(*SMALL)
+
+
+@pytest.fixture
+def trainer(config):
+    return build_trainer(config)
+
+
+@pytest.fixture
+def folder(trainer, config, tmp_path):
+    save_policy(tmp_path, trainer.networks, trainer.env.stages, config)
+    return tmp_path
+
+
+def test_loaded_policy_gives_the_mean_action(folder, trainer):
+    policy = load_policy(folder)
+    observation = trainer.env.observation
+    torch.testing.assert_close(policy(observation), trainer.networks.head(observation)[0].clamp(-1, 1))
+    policy.require_layout(trainer.env.stages)
+
+
+def test_policy_file_is_small(folder):
+    assert (folder / POLICY).stat().st_size < 1_000_000
+
+
+def test_policy_of_another_observation_names_the_first_difference(folder, compose):
+    other = build_trainer(compose(*SMALL, "obstacle_observation=none"))
+    with pytest.raises(CheckpointError, match=r"trained on sub_cell .*gives velocity"):
+        load_policy(folder).require_layout(other.env.stages)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_policy_cut_short_is_refused(folder, share):
+    content = (folder / POLICY).read_bytes()
+    (folder / POLICY).write_bytes(content[: int(len(content) * share)])
+    with pytest.raises(CheckpointError, match="cannot be read"):
+        load_policy(folder)
+
+
+def test_checkpoint_cut_short_is_refused(trainer, tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    save_checkpoint(path, trainer)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(CheckpointError, match="cut short"):
+        load_checkpoint(path, trainer)
+
+
+def test_checkpoint_of_another_number_of_environments_is_refused(trainer, tmp_path, compose):
+    save_checkpoint(tmp_path / "checkpoint.pt", trainer)
+    other = build_trainer(compose(*SMALL, "num_envs=4"))
+    with pytest.raises(CheckpointError, match="8 environments, this run has 4"):
+        load_checkpoint(tmp_path / "checkpoint.pt", other)
+
+
+@pytest.mark.parametrize("writer", ["torch", "pickle"])
+def test_hostile_policy_file_runs_no_code(folder, tmp_path, writer):
+    trace = tmp_path / "trace"
+    with (folder / POLICY).open("wb") as file:
+        if writer == "torch":
+            torch.save({"head": Hostile(trace), "layout": []}, file)
+        else:
+            pickle.dump({"head": Hostile(trace), "layout": []}, file, protocol=2)
+    with pytest.raises(CheckpointError, match="holds code"):
+        load_policy(folder)
+    assert not trace.exists()
+
+
+def test_hostile_stored_config_runs_no_code(folder, tmp_path):
+    trace = tmp_path / "trace"
+    text = (folder / CONFIG).read_text()
+    hostile = text.replace("resc.learning.networks.build_networks", "os.system")
+    (folder / CONFIG).write_text(hostile + f"\ncommand: touch {trace}\n")
+    with pytest.raises(ConfigError, match=r"'os\.system', outside"):
+        load_policy(folder)
+    assert not trace.exists()
+
+
+def test_missing_policy_says_what_to_give(tmp_path):
+    with pytest.raises(CheckpointError, match="give the folder of a finished run"):
+        load_policy(tmp_path)

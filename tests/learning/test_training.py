@@ -1,0 +1,95 @@
+"""The life of a run: what is left behind, whatever ends it."""
+
+import os
+import signal
+import threading
+
+import pytest
+
+from resc.errors import RecordingError
+from resc.learning.assemble import build_trainer
+from resc.learning.checkpoint import CHECKPOINT, load_checkpoint
+from resc.learning.progress import CsvLogger, ProgressTable, describe, draw_learning_curve
+from resc.learning.training import train
+from resc.recording.reader import RolloutLog
+from resc.recording.rollouts import open_recorder
+from test_ppo import SMALL
+
+
+def run(trainer, folder, recorder=None, total_frames=512):
+    table = ProgressTable(folder / "progress.csv", trainer.frames)
+    complete = train(
+        trainer,
+        folder,
+        total_frames=total_frames,
+        recorder=recorder,
+        logger=CsvLogger(folder=folder),
+        table=table,
+        checkpoint_every_s=1e9,
+    )
+    return complete, table
+
+
+def recorder_for(config, trainer, folder):
+    outcomes = trainer.statistics.outcomes
+    return open_recorder(
+        config, trainer.env.stages, directory=folder, outcomes=outcomes, num_envs=trainer.env.num_envs
+    )
+
+
+def test_run_leaves_checkpoint_curve_and_one_row_per_batch(compose, tmp_path):
+    complete, table = run(build_trainer(compose(*SMALL)), tmp_path)
+    assert complete
+    assert [row["frames"] for row in table.rows] == [128, 256, 384, 512]
+    draw_learning_curve(table.rows, tmp_path / "learning_curve.png")
+    assert (tmp_path / "learning_curve.png").stat().st_size > 10_000
+    assert (tmp_path / CHECKPOINT).exists()
+
+
+def test_progress_of_a_resumed_run_drops_rows_beyond_its_checkpoint(tmp_path):
+    table = ProgressTable(tmp_path / "progress.csv")
+    for frames in (100, 200, 300):
+        table.add({"frames": float(frames), "loss": 1.0})
+    resumed = ProgressTable(tmp_path / "progress.csv", frames=200)
+    assert [row["frames"] for row in resumed.rows] == [100, 200]
+
+
+def test_interrupt_ends_after_the_batch_with_a_checkpoint_to_go_on_from(compose, tmp_path):
+    trainer = build_trainer(compose(*SMALL))
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    complete, _ = run(trainer, tmp_path, total_frames=10**9)
+    assert not complete
+    resumed = build_trainer(compose(*SMALL))
+    load_checkpoint(tmp_path / CHECKPOINT, resumed)
+    assert resumed.frames == trainer.frames > 0
+
+
+def test_every_rollout_is_recorded_and_its_terms_sum_to_the_reward(compose, tmp_path):
+    config = compose(*SMALL)
+    trainer = build_trainer(config)
+    with recorder_for(config, trainer, tmp_path / "rollouts") as recorder:
+        run(trainer, tmp_path, recorder)
+    log = RolloutLog(tmp_path / "rollouts")
+    whole = log.to_tensordict()
+    assert tuple(whole.batch_size) == (64, 8)
+    total = whole["reward_terms"].sum(-1, keepdim=True)
+    assert (total - whole["reward"]).abs().max() < 1e-4
+    assert len(log.episodes) == trainer.statistics.total
+    assert log.num_batches == 4
+
+
+def test_full_recording_stops_training_with_the_checkpoint_saved(compose, tmp_path):
+    config = compose(*SMALL, "recorder.max_gb=1e-6", "recorder.when_full=stop")
+    trainer = build_trainer(config)
+    recorder = recorder_for(config, trainer, tmp_path / "rollouts")
+    with pytest.raises(RecordingError, match="max_gb"):
+        run(trainer, tmp_path, recorder, total_frames=10**6)
+    resumed = build_trainer(compose(*SMALL))
+    load_checkpoint(tmp_path / CHECKPOINT, resumed)
+    assert resumed.frames > 0
+
+
+def test_table_of_terms_names_every_column_and_weight(make_stages):
+    text = describe(make_stages())
+    assert "kgp_esdf              22-30" in text
+    assert "progress                   2" in text

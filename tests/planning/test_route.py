@@ -1,0 +1,128 @@
+"""Layouts that know only goals get routes, or one sentence that says why not."""
+
+import math
+
+import pytest
+import torch
+
+from resc.errors import ConfigError, PlanningError
+from resc.math.geometry import box_distance
+from resc.math.sampling import generator_for
+from resc.planning.route import RoutePlanner, planner_for
+from resc.scenes.layout import concatenate
+from resc.scenes.named import NamedScene
+
+SETTINGS = {"clearance_m": 0.4, "max_expansions": 1000, "spacing_m": [0.5, 2.0], "nominal_m": 1.5}
+WALL = [3.0, 0.0, 0.5, 3.0]
+
+
+def scene(**changes):
+    settings = {
+        "boxes": [WALL],
+        "start_m": [1.0, 1.0, 1.0],
+        "goal_m": [5.0, 1.0, 1.3],
+        "origin_m": [0.0, -1.0],
+        "size_m": [7.0, 6.0],
+    }
+    return NamedScene(**{**settings, **changes})
+
+
+def layout_of(count=1, **changes):
+    return scene(**changes).sample(count, generator_for(0, "test"))
+
+
+@pytest.fixture
+def planner():
+    return RoutePlanner(**SETTINGS, resolution_m=0.1)
+
+
+def test_route_leads_round_the_wall_to_the_goal(planner):
+    planned = planner(layout_of(boxes=[[3.0, -1.0, 0.5, 4.0]]))
+    length = int(planned.route_length)
+    points = torch.cat((planned.start_w, planned.route_w[0, :length]))
+    torch.testing.assert_close(points[-1], torch.tensor([5.0, 1.0, 1.3]))
+    assert (points[1:, 2] == 1.3).all()
+    share = torch.linspace(0, 1, 200)[:, None, None]
+    lines = (points[:-1] + share * points.diff(dim=0)).reshape(-1, 3)
+    boxes = planned.boxes_w.expand(len(lines), -1, -1)
+    assert box_distance(lines[:, :2], boxes).min() > 0.3
+    gaps = points[:, :2].diff(dim=0).norm(dim=-1)
+    assert gaps.max() <= 2.0 + 1e-5
+
+
+def test_paths_are_kept_for_the_picture(planner):
+    planned = planner(layout_of(count=3))
+    assert len(planner.paths) == 3
+    for path, start in zip(planner.paths, planned.start_w, strict=True):
+        assert path.points_m[0].tolist() == pytest.approx(start[:2].tolist())
+        assert path.length_m > math.dist((1.0, 1.0), (5.0, 1.0))
+
+
+def test_scenes_of_different_size_share_a_batch(planner):
+    free = layout_of(boxes=[], size_m=[6.0, 4.0], goal_m=[2.0, 1.0, 1.0])
+    planned = planner(concatenate([layout_of(), free]))
+    assert planned.route_length[:, 0].tolist()[1] == 1
+    assert int(planned.route_length[0]) > 2
+    assert (planned.route_w[1] == torch.tensor([2.0, 1.0, 1.0])).all()  # padded with the goal
+
+
+def test_equal_maps_are_prepared_once(planner):
+    planner(layout_of(count=5, jitter_m=0.1))
+    planner(layout_of(count=2, goal_m=[5.0, 2.0, 1.0]))
+    assert len(planner._maps) == 1
+    planner(layout_of(boxes=[]))
+    assert len(planner._maps) == 2
+
+
+def test_planning_again_leads_to_the_same_goal(planner):
+    once = planner(layout_of())
+    twice = planner(once)
+    assert torch.equal(once.route_w, twice.route_w)
+
+
+def test_goal_in_an_obstacle_names_scene_and_reason(planner):
+    layout = layout_of(count=2, goal_m=[3.2, 1.0, 1.0])
+    with pytest.raises(
+        PlanningError, match=r"^maze, flight 0: Goal \(3.2, 1\) m is inside an obstacle"
+    ):
+        planner(layout, "maze")
+
+
+def test_start_in_an_obstacle_names_the_flight(planner):
+    layout = concatenate([layout_of(), layout_of(start_m=[3.2, 1.0, 1.0])])
+    with pytest.raises(PlanningError, match=r"flight 1: Start \(3.2, 1\) m is inside an obstacle"):
+        planner(layout)
+
+
+def test_start_outside_the_map_says_what_the_map_covers(planner):
+    layout = layout_of()
+    layout.start_w[0, 0] = -0.5
+    with pytest.raises(PlanningError, match=r"outside the map, which covers x 0 .. 7 m"):
+        planner(layout)
+
+
+def test_walled_in_goal_says_that_there_is_no_path(planner):
+    layout = layout_of(boxes=[[3.0, -1.0, 0.5, 6.0]])
+    with pytest.raises(PlanningError, match=r"No path from \(1, 1\) to \(5, 1\) m keeps 0.4 m"):
+        planner(layout)
+
+
+def test_search_that_gives_up_says_what_to_raise():
+    planner = RoutePlanner(**{**SETTINGS, "max_expansions": 1}, resolution_m=0.1)
+    with pytest.raises(PlanningError, match=r"gave up .* raise search.max_expansions"):
+        planner(layout_of(boxes=[WALL, [4.0, 3.5, 0.5, 1.0], [4.2, 0.5, 0.3, 2.0]]))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"spacing_m": [2.0, 0.5]}, {"nominal_m": 0.0}, {"rule": "visble"}, {"max_expansions": 0}],
+)
+def test_wrong_settings_are_refused(wrong):
+    with pytest.raises(ConfigError):
+        RoutePlanner(**{**SETTINGS, **wrong}, resolution_m=0.1)
+
+
+def test_configuration_without_search_has_no_planner(compose):
+    config = compose()
+    assert isinstance(planner_for(config), RoutePlanner)
+    assert planner_for({**config, "search": {}}) is None
