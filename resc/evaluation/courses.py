@@ -26,7 +26,7 @@ class Course:
 
     name: str
     layout: Layout
-    planned_m: Sequence[Float[np.ndarray, "v 2"]]
+    planned_m: Sequence[Float[np.ndarray, "_ 2"]]
     own_routes: bool
 
     def __len__(self) -> int:
@@ -95,7 +95,7 @@ def lay_out(
     return courses
 
 
-def _lines(layout: Layout) -> list[Float[np.ndarray, "v 2"]]:
+def _lines(layout: Layout) -> list[Float[np.ndarray, "_ 2"]]:
     """From each start straight through the control points [m]."""
     lines = []
     for start, route, length in zip(

@@ -114,7 +114,7 @@ def _add_legend(figure: Figure, panels: Sequence[Panel]) -> None:
 
 def _mark(
     marker: str,
-    size: float,
+    size: int,
     label: str,
     *,
     face: str = "white",

@@ -54,7 +54,7 @@ class RoutePlanner:
             raise ConfigError(f"rule is '{rule}'; expected 'visible' or 'released'.")
         self.search = VisibilitySearch(clearance_m, resolution_m, max_expansions)
         self.spacing_m = (float(spacing_m[0]), float(spacing_m[1]))
-        self.nominal_m = nominal_m
+        self.nominal_m = float(nominal_m)
         self.rule: Literal["visible", "released"] = rule
         self.paths: list[PlannedPath] = []
         self._maps: dict[bytes, PreparedMap] = {}

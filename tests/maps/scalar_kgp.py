@@ -54,7 +54,7 @@ def cast(field, start, end):
     return end
 
 
-def guided(field, p, target, radius=None):
+def guided(field, p, target, radius=None, gap=GAP):
     """Two edges relative to p, counter-clockwise first (4.4)."""
     if not field.holds(p):
         return (0.0, 0.0, 0.0, 0.0)
@@ -65,12 +65,12 @@ def guided(field, p, target, radius=None):
     guide_free = not field.occupied(guide_hit)
     edges = []
     for side in (1, -1):
-        hit = sweep(field, p, radius, toward, side, guide_hit)
+        hit = sweep(field, p, radius, toward, side, guide_hit, gap)
         edges += corner(field, p, target, hit, nearest=guide_free)
     return tuple(edges)
 
 
-def sweep(field, p, radius, toward, side, guide_hit):
+def sweep(field, p, radius, toward, side, guide_hit, gap):
     """The point that one side's edge lies at."""
     guide_free = not field.occupied(guide_hit)
     last, last_distance = (p, 0.0) if guide_free else (guide_hit, math.dist(guide_hit, p))
@@ -85,7 +85,7 @@ def sweep(field, p, radius, toward, side, guide_hit):
                 return hit
         elif field.occupied(hit):
             distance = math.dist(hit, p)
-            if distance - last_distance > GAP:
+            if distance - last_distance > gap:
                 return last
             last, last_distance = hit, distance
         elif math.dist(hit, end) < REACHED:

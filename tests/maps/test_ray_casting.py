@@ -1,8 +1,9 @@
 """Both renderings of the obstacle rays against the scalar version of the fact sheet.
 
-Double precision (`guided_in_torch`) agrees on every pose. Single precision (the CPU operators) may look into the next cell
-where a ray passes within some 1e-6 m of a cell border; a different cell may change the jump, the ray that ends the sweep, or
-the cell whose corner is reported. That happens to at most 0.2 % of random poses; all others agree to 1e-4 m.
+Double precision agrees on every pose to 1e-9 m, ties aside: near obstacles rays advance by 0.1 m, so two hits may lie exactly
+`GAP` = 0.9 m apart, and rounding alone decides whether that is a gap. Single precision, the CPU operators among them, may also
+look into the next cell where a hit lies within 1e-5 m of a cell border. Both together concern at most 0.2 % of random poses
+(seen: 0.07 %, all of them ties); all others agree to 1e-4 m.
 """
 
 import math
@@ -80,11 +81,19 @@ def test_the_random_poses_cover_every_case(poses):
     assert len(offset) >= 4000
 
 
-def test_edges_in_double_precision_equal_the_scalar_version_everywhere(poses):
+def test_edges_in_double_precision_equal_the_scalar_version_but_for_ties(poses):
     esdf, index, here, offset, radius, edges, _ = poses
     field = field_of(esdf, index, torch.float64)
-    ours = ray_casting.guided_in_torch(field, here.double(), offset.double(), radius.double(), 3.0)
-    assert_close(ours, edges, atol=1e-9, rtol=0)
+    here, offset, radius = here.double(), offset.double(), radius.double()
+    ours = ray_casting.guided_in_torch(field, here, offset, radius, 3.0)
+    differs = ((ours - edges).abs() > 1e-9).any(1)
+    assert differs.double().mean() < 0.002
+    for number in differs.nonzero()[:, 0].tolist():
+        field = scalar_kgp.Map(esdf[index[number]].double().tolist(), ORIGIN)
+        pose = field, tuple(here[number].tolist()), tuple((here + offset)[number].tolist()), float(radius[number])
+        either = [scalar_kgp.guided(*pose, gap=scalar_kgp.GAP + slack) for slack in (-1e-9, 1e-9)]
+        for side in (slice(0, 2), slice(2, 4)):
+            assert any(ours[number, side].tolist() == pytest.approx(edges[side], abs=1e-9) for edges in either)
 
 
 def test_rays_in_double_precision_equal_the_scalar_version_everywhere(poses):
@@ -195,15 +204,17 @@ def test_no_obstacle_in_the_sector_is_a_point_at_the_radius_60_degrees_to_each_s
 def test_a_free_guide_finds_the_obstacles_beside_the_corridor():
     corridor = one_map((70, 70, 3, 3), (50, 70, 3, 3))  # boxes at x 7.0, y 7.0..7.3 and 5.0..5.3
     left_x, left_y, right_x, right_y = edges(corridor, (6.05, 6.15), (2.0, 0.0), 2.0)
-    assert (left_x, left_y) == pytest.approx((0.95, 0.55), abs=0.31)  # the inflated lower edge of the left box
-    assert (right_x, right_y) == pytest.approx((0.95, -0.55), abs=0.31)
+    # Cells within 0.29 m of the left box reach from x 6.8 to 7.5 m and down to y 6.8 m; the lower right corner shows first.
+    assert (left_x, left_y) == pytest.approx((1.45, 0.65), abs=1e-5)
+    assert (right_x, right_y) == pytest.approx((1.45, -0.65), abs=1e-5)
 
 
 def test_a_blocked_guide_finds_where_the_obstacle_ends():
     block = one_map((55, 75, 10, 3))  # y 5.5..6.5 ahead at x 7.5
-    _, left_y, _, right_y = edges(block, (6.05, 6.0), (3.0, 0.0), 3.0)
-    assert left_y == pytest.approx(0.5 + 0.3, abs=0.16)
-    assert right_y == pytest.approx(-0.5 - 0.3, abs=0.16)
+    left_x, left_y, right_x, right_y = edges(block, (6.05, 6.0), (3.0, 0.0), 3.0)
+    # Cells within 0.29 m of it reach from x 7.3 m on, from y 5.3 to 6.7 m.
+    assert (left_x, left_y) == pytest.approx((1.25, 0.7), abs=1e-5)
+    assert (right_x, right_y) == pytest.approx((1.25, -0.7), abs=1e-5)
 
 
 def test_a_gap_behind_the_edge_ends_the_obstacle():

@@ -1,0 +1,70 @@
+"""What is flown: the same for the same seed, whatever else is in the list."""
+
+import numpy as np
+import pytest
+import torch
+
+from resc.errors import ConfigError, PlanningError
+from resc.evaluation.courses import lay_out
+
+FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
+BOXES = {"_target_": "resc.scenes.random_boxes.RandomBoxes", "boxes": 40, "jitter_m": 0.1}
+
+
+def test_same_seed_lays_out_the_same_and_another_does_not(planner):
+    first, again, other = (
+        lay_out({"boxes": BOXES}, 2, seed=seed, planner=planner)[0] for seed in (1, 1, 2)
+    )
+    assert torch.equal(first.layout.boxes_w, again.layout.boxes_w)
+    assert torch.equal(first.layout.route_w, again.layout.route_w)
+    assert not torch.equal(first.layout.boxes_w, other.layout.boxes_w)
+
+
+def test_another_scene_in_the_list_changes_nothing(planner):
+    alone = lay_out({"boxes": BOXES}, 2, seed=1, planner=planner)[0]
+    _, beside = lay_out({"free": FREE, "boxes": BOXES}, 2, seed=1, planner=planner)
+    assert torch.equal(alone.layout.start_w, beside.layout.start_w)
+
+
+def test_scene_with_routes_keeps_them(planner):
+    course = lay_out({"free": FREE}, 3, seed=1, planner=None)[0]
+    assert course.own_routes
+    route, start = course.layout.route_w[0, :, :2], course.layout.start_w[0, :2]
+    np.testing.assert_array_equal(course.planned_m[0][1:], route)
+    length = torch.cat((start[None], route)).diff(dim=0).norm(dim=-1).sum()
+    assert course.planned_lengths_m[0] == pytest.approx(float(length), rel=1e-6)
+
+
+def test_scene_with_a_goal_is_planned(corridor):
+    course = corridor(2)
+    assert not course.own_routes
+    assert course.one_map
+    assert (course.layout.route_length > 1).all()
+    assert (course.planned_lengths_m > 3.5).all()
+
+
+def test_random_maps_differ(planner):
+    course = lay_out({"boxes": BOXES}, 2, seed=1, planner=planner)[0]
+    assert not course.one_map
+
+
+def test_unreachable_goal_names_the_scene(corridor):
+    with pytest.raises(PlanningError, match=r"^corridor, flight 0: No path from"):
+        corridor(2, boxes=[[2.5, 0.0, 0.5, 4.0]])
+
+
+@pytest.mark.parametrize(
+    ("scenes", "flights", "message"),
+    [
+        ({}, 1, "scenes is empty"),
+        ({"free": FREE}, 0, "flights is 0"),
+        ({"boxes": BOXES}, 1, "search is none"),
+        ({"free": {**FREE, "boxs": 3}}, 1, "scene.free.boxs .*Did you mean 'boxes'"),
+        ({"boxes": {**BOXES, "goal_m": [99.0, 0.0, 1.0]}}, 1, None),
+    ],
+)
+def test_wrong_lists_are_refused(scenes, flights, message, planner):
+    wanted = planner if message is None else None
+    error = PlanningError if message is None else ConfigError
+    with pytest.raises(error, match=message):
+        lay_out(scenes, flights, seed=1, planner=wanted)

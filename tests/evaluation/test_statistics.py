@@ -1,0 +1,97 @@
+"""Rates, intervals and medians against numbers worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from resc.evaluation.statistics import join, median, report_scenes, summarise, wilson_interval
+
+
+def table(scene="one", **changes):
+    """Four flights: two arrive, one collides, one runs out of time."""
+    columns = {
+        "scene": [scene] * 4,
+        "flight": [0, 1, 2, 3],
+        "outcome": ["success", "success", "contact", "time_limit"],
+        "success": [True, True, False, False],
+        "collided": [False, False, True, False],
+        "steps": [100, 120, 30, 2000],
+        "counted_steps": [50, 70, 30, 2000],
+        "planned_length": [4.0, 4.0, 4.5, 5.0],
+        "time_within_half_metre": [1.0, 1.4, math.inf, math.inf],
+        "time_within_fifth_metre": [1.2, math.inf, math.inf, math.inf],
+        "path_length": [4.1, 4.3, 1.0, 80.0],
+        "least_clearance": [0.4, 0.5, -0.01, 0.25],
+        "energy": [100.0, 300.0, 5000.0, 9000.0],
+        "top_speed": [2.0, 2.5, 3.0, 1.0],
+        "top_acceleration": [4.0, 5.0, 6.5, 1.0],
+        "steps_over_limit": [0.0, 7.0, 3.0, 0.0],
+    }
+    return {name: np.array(values) for name, values in {**columns, **changes}.items()}
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [(20, 20, 0.8389, 1.0), (0, 20, 0.0, 0.1611), (8, 10, 0.4902, 0.9433), (1, 1, 0.2065, 1.0)],
+)
+def test_wilson_interval(successes, trials, low, high):
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_median_of_few_endless_times_is_finite_and_of_many_is_not():
+    assert median(np.array([1.0, 2.0, math.inf])) == 2.0
+    assert median(np.array([1.0, 2.0])) == 1.5
+    assert median(np.array([1.0, math.inf, math.inf])) == math.inf
+    assert median(np.array([math.inf, math.inf])) == math.inf
+    assert math.isnan(median(np.array([])))
+
+
+def test_rates_count_every_flight():
+    report = summarise("one", table())
+    assert (report.episodes, report.success_rate, report.collision_rate) == (4, 0.5, 0.25)
+    assert report.close_rate == 0.5
+    assert report.outcomes == {"success": 2, "contact": 1, "time_limit": 1}
+    assert report.over_limit_share == pytest.approx(10 / 2150)
+
+
+def test_times_lengths_and_energy_are_of_flights_that_arrive():
+    report = summarise("one", table())
+    assert report.time_span_s == pytest.approx(1.2)
+    assert report.time_within_fifth_s == math.inf
+    assert report.path_length_m == pytest.approx(4.2)
+    assert report.energy_m2ps5 == 200.0
+
+
+def test_clearance_and_extremes_are_of_all_flights():
+    report = summarise("one", table())
+    assert report.min_clearance_m == -0.01
+    assert report.median_clearance_m == pytest.approx(0.325)
+    assert (report.top_speed_mps, report.top_acceleration_mps2) == (3.0, 6.5)
+
+
+def test_scene_that_nobody_finishes_has_no_time():
+    report = summarise("one", table(success=np.array([False] * 4)))
+    assert math.isnan(report.time_span_s)
+    assert report.success_low == 0.0
+
+
+def test_metric_that_was_not_measured_is_nan():
+    columns = table()
+    del columns["energy"]
+    assert math.isnan(summarise("one", columns).energy_m2ps5)
+
+
+def test_several_scenes_are_also_reported_together():
+    reports = report_scenes([table(), table("two", success=np.array([True] * 4))])
+    assert [report.name for report in reports] == ["one", "two", "all"]
+    assert reports[-1].episodes == 8
+    assert reports[-1].success_rate == 0.75
+
+
+def test_one_scene_is_reported_once():
+    assert [report.name for report in report_scenes([table()])] == ["one"]
+
+
+def test_joined_tables_keep_the_order():
+    assert join([table("one"), table("two")])["scene"].tolist() == ["one"] * 4 + ["two"] * 4
