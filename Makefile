@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 PYTHON ?= python3.13 python3.12 python3.11 python3
 ARGS ?=
 
-.PHONY: demo train test check format lock clean help
+.PHONY: demo train test check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
 
 demo: $(STAMP) ## Fly the shipped policy through the default scene.
@@ -18,9 +18,15 @@ train: $(STAMP) ## Train a policy.
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
 	$(PY) -m pytest $(ARGS)
 
-check: $(STAMP) ## Check format, lint and types.
+check: check-format check-lint check-types ## Check format, lint and types.
+
+check-format: $(STAMP)
 	$(PY) -m ruff format --check .
+
+check-lint: $(STAMP)
 	$(PY) -m ruff check .
+
+check-types: $(STAMP)
 	$(PY) -m basedpyright
 
 format: $(STAMP) ## Format the code.

@@ -52,7 +52,10 @@ def compose_scenes(config: DictConfig) -> dict[str, dict[str, Any]]:
         if times > 1:
             raise ConfigError(f"scenes names '{name}' {times} times; raise flights instead.")
         node = hydra.compose(f"scene/{name}")["scene"]
-        scenes[name] = OmegaConf.to_container(OmegaConf.merge(node, config["scene"]), resolve=True)
+        own, given = (
+            OmegaConf.to_container(part, resolve=True) for part in (node, config["scene"])
+        )
+        scenes[name] = {**own, **given}
     return scenes
 
 

@@ -1,10 +1,10 @@
 """Trains a policy: compose, build, run, report.
 
-    python train.py                                    the default: flight among obstacles
-    python train.py +experiment=quick                  a few minutes of it
-    python train.py obstacle_observation=none          swap a part
-    python train.py resume=runs/latest                 go on with an interrupted run
-    python train.py --cfg job                          look, do not run
+python train.py                                    the default: flight among obstacles
+python train.py +experiment=quick                  a few minutes of it
+python train.py obstacle_observation=none          swap a part
+python train.py resume=runs/latest                 go on with an interrupted run
+python train.py --cfg job                          look, do not run
 """
 
 import sys
@@ -38,7 +38,7 @@ def main(config: DictConfig) -> None:
 
 
 def run(config: DictConfig, folder: Path) -> None:
-    """Trains, flies fixed held-out episodes, and leaves policy, curve, recording and summary in the folder."""
+    """Trains, flies held-out episodes, leaves policy, curve, recording, summary in the folder."""
     config, folder = resumed(config, folder)
     prepare_process(config["threads"], config["device"])
     trainer = build_trainer(config)
@@ -75,14 +75,23 @@ def run(config: DictConfig, folder: Path) -> None:
     save_policy(folder, trainer.networks, stages, config)
     if table.rows:
         draw_learning_curve(table.rows, folder / "learning_curve.png")
-    summary = {"frames": trainer.frames, "wall_s": wall_s, "frames_per_s": (trainer.frames - before) / wall_s}
+    summary = {
+        "frames": trainer.frames,
+        "wall_s": wall_s,
+        "frames_per_s": (trainer.frames - before) / wall_s,
+    }
     if not complete:
         finish_run(folder, summary)
-        sys.exit(f"Stopped after {trainer.frames} frames. Go on with: python train.py resume={folder}")
+        sys.exit(
+            f"Stopped after {trainer.frames} frames. Go on with: python train.py resume={folder}"
+        )
     flights = fly_held_out(config, folder)
     rates = {"success_rate": flights.success_rate, "collision_rate": flights.collision_rate}
     finish_run(folder, {**summary, "episodes": len(flights), **rates})
-    print(f"{rates['success_rate']:.1%} of {len(flights)} held-out episodes succeed. Results: {folder}")
+    print(
+        f"{rates['success_rate']:.1%} of {len(flights)} held-out episodes succeed. Results: "
+        f"{folder}"
+    )
 
 
 if __name__ == "__main__":

@@ -95,11 +95,12 @@ def median_rate(run: Callable[[int], int], effort: Effort, *, threads: int) -> R
     return Rate(statistics.median(rates), statistics.median(shares))
 
 
-def machine(device: str, threads: int) -> dict[str, str | int]:
-    """Where and with what the figures were taken."""
+def machine(device: str, threads: int) -> dict[str, str | float]:
+    """Where and with what figures are taken; `load` is what others kept busy just before."""
     return {
         "cpu": _cpu_model(),
         "cores": len(os.sched_getaffinity(0)),
+        "load": round(os.getloadavg()[0], 2),
         "device": torch.cuda.get_device_name() if device.startswith("cuda") else "cpu",
         "threads": threads,
         "torch": torch.__version__,
@@ -108,7 +109,7 @@ def machine(device: str, threads: int) -> dict[str, str | int]:
     }
 
 
-def sentence(facts: dict[str, str | int]) -> str:
+def sentence(facts: dict[str, str | float]) -> str:
     """The machine in one line."""
     return ", ".join(f"{name} {value}" for name, value in facts.items())
 

@@ -18,12 +18,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for train.py
+sys.path.insert(0, str(Path(__file__).parents[1]))  # when started as a file
 
 from benchmarks.measure import Flight, load, machine, sentence, write_json
+from resc.learning.assemble import build_trainer
 from resc.process import prepare_process
 from resc.schema import TrainSchema
-from train import build_trainer
 
 JOBS = 2
 POLICIES = ("default", "passive")
@@ -167,12 +167,12 @@ def main() -> None:
     if args.job:
         run_job(args)
         return
+    facts = machine(args.device, TrainSchema.threads)
     rows = []
     for threads in range(1, JOBS + 1):
         for policy in POLICIES[:1] if args.quick else POLICIES:
             rows.append(measure(args, threads, policy))
             print(rows[-1], file=sys.stderr, flush=True)
-    facts = machine(args.device, TrainSchema.threads)
     print(sentence(facts), table(rows), sep="\n\n")
     write_json(args.json, {**figures(rows), **facts})
 

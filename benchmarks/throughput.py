@@ -16,7 +16,7 @@ from pathlib import Path
 
 import torch
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for train.py
+sys.path.insert(0, str(Path(__file__).parents[1]))  # when started as a file
 
 from benchmarks.measure import (
     BUSY_BELOW,
@@ -35,9 +35,9 @@ from benchmarks.measure import (
 from resc.build import build_env, build_pool, build_stages
 from resc.envs.gymnasium_env import QuadrotorGymEnv
 from resc.envs.quadrotor import QuadrotorEnv
+from resc.learning.assemble import build_trainer
 from resc.process import prepare_process
 from resc.scenes.pool import ScenePool
-from train import build_trainer
 
 LARGEST = 4096
 SIZES = (64, 1024, LARGEST)
@@ -179,6 +179,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the figures")
     args = parser.parse_args()
     prepare_process(args.threads, args.device)
+    facts = machine(args.device, args.threads)
     effort = QUICK if args.quick else FULL
     rows: list[Row] = []
     for task in TASKS:
@@ -188,7 +189,6 @@ def main() -> None:
                     f"{row.key}: {row.rate.steps_per_s:,.0f} steps/s", file=sys.stderr, flush=True
                 )
                 rows.append(row)
-    facts = machine(args.device, args.threads)
     print(sentence(facts), table(rows), sep="\n\n")
     write_json(args.json, {**figures(rows), **facts})
 

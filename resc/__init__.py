@@ -1,1 +1,1 @@
-"""RESC: search-to-control quadrotor planning, trained, ablated, recorded and compared in one framework."""
+"""RESC: search-to-control quadrotor planning, trained, ablated, recorded and compared."""

@@ -1,6 +1,7 @@
 """From configuration to objects: every name and number is checked before anything runs.
 
-A stored configuration is data: only targets under an allowed prefix are built, so reading one runs no foreign code.
+A stored configuration is data: only targets under an allowed prefix are built, so reading one runs
+no foreign code.
 """
 
 import difflib
@@ -33,7 +34,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"{hint} Available: {', '.join(known) or 'none'}."
 
 
-def build(config: Mapping[str, Any], path: str, *, allowed: Iterable[str] = (), **extra: Any) -> Any:  # noqa: ANN401
+def build(
+    config: Mapping[str, Any], path: str, *, allowed: Iterable[str] = (), **extra: Any
+) -> Any:
     """The object that one configuration node describes.
 
     Args:
@@ -43,22 +46,35 @@ def build(config: Mapping[str, Any], path: str, *, allowed: Iterable[str] = (), 
         **extra: Arguments that come from the program, not from the configuration.
 
     Raises:
-        ConfigError: The target is unknown or not allowed, an argument is unknown, missing, of the wrong type or out of range.
+        ConfigError: The target is unknown or not allowed, an argument is unknown, missing, of the
+            wrong type or out of range.
     """
     if not isinstance(config, Mapping | DictConfig) or "_target_" not in config:
-        raise ConfigError(f"{path} has no _target_; name the class to build, e.g. resc.terms.rewards.progress.Progress.")
+        raise ConfigError(
+            f"{path} has no _target_; name the class to build, e.g. "
+            "resc.terms.rewards.progress.Progress."
+        )
     target = locate(str(config["_target_"]), path, (*ALLOWED, *allowed))
     arguments = {key: _plain(value) for key, value in config.items() if key != "_target_"}
     named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    parameters = {name: p for name, p in inspect.signature(target).parameters.items() if p.kind in named}
+    parameters = {
+        name: p for name, p in inspect.signature(target).parameters.items() if p.kind in named
+    }
     known = [name for name in parameters if name not in extra]
     for name, value in arguments.items():
         if name not in known:
-            raise ConfigError(f"{path}.{name} is not an argument of {target.__name__}.{nearest(name, known)}")
+            raise ConfigError(
+                f"{path}.{name} is not an argument of {target.__name__}.{nearest(name, known)}"
+            )
         _check_type(f"{path}.{name}", value, parameters[name].annotation)
-    missing = [n for n in known if parameters[n].default is inspect.Parameter.empty and n not in arguments]
+    missing = [
+        n for n in known if parameters[n].default is inspect.Parameter.empty and n not in arguments
+    ]
     if missing:
-        raise ConfigError(f"{path} lacks {', '.join(missing)}, which {target.__name__} needs; set {path}.{missing[0]}.")
+        raise ConfigError(
+            f"{path} lacks {', '.join(missing)}, which {target.__name__} needs; set "
+            f"{path}.{missing[0]}."
+        )
     try:
         return target(**arguments, **extra)
     except ConfigError as error:
@@ -69,7 +85,8 @@ def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]
     """The class or function a `_target_` names, if its prefix is allowed."""
     if not target.startswith(tuple(allowed)):
         raise ConfigError(
-            f"{path}._target_ is '{target}', outside {', '.join(allowed)}; opt in with allowed_targets=[yourpackage.]"
+            f"{path}._target_ is '{target}', outside {', '.join(allowed)}; opt in with "
+            "allowed_targets=[yourpackage.]"
         )
     module_name, _, name = target.rpartition(".")
     try:
@@ -77,11 +94,16 @@ def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]
     except ImportError as error:
         raise ConfigError(f"{path}._target_ is '{target}', but {error}.") from None
     if not callable(getattr(module, name, None)):
-        raise ConfigError(f"{path}._target_ is '{target}'; {module_name} has no '{name}'.{nearest(name, _public(module))}")
+        raise ConfigError(
+            f"{path}._target_ is '{target}'; {module_name} has no "
+            f"'{name}'.{nearest(name, _public(module))}"
+        )
     return getattr(module, name)
 
 
-def build_terms(group: Mapping[str, Any] | None, path: str, kind: type[Term], allowed: Iterable[str] = ()) -> list[Any]:
+def build_terms(
+    group: Mapping[str, Any] | None, path: str, kind: type[Term], allowed: Iterable[str] = ()
+) -> list[Any]:
     """The terms of one group, in the order of the configuration, each with its name."""
     terms = []
     for name, node in (group or {}).items():
@@ -89,7 +111,9 @@ def build_terms(group: Mapping[str, Any] | None, path: str, kind: type[Term], al
             continue
         term = build(node, f"{path}.{name}", allowed=allowed)
         if not isinstance(term, kind):
-            raise ConfigError(f"{path}.{name} builds a {type(term).__name__}, which is no {kind.__name__}.")
+            raise ConfigError(
+                f"{path}.{name} builds a {type(term).__name__}, which is no {kind.__name__}."
+            )
         terms.append(term.named(name))
     return terms
 
@@ -100,12 +124,14 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
 
     allowed = config.get("allowed_targets", ())
     vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
-    context = Context(dt_s=config["env"]["dt_s"], resolution_m=config["env"]["resolution_m"], vehicle=vehicle)
+    context = Context(
+        dt_s=config["env"]["dt_s"], resolution_m=config["env"]["resolution_m"], vehicle=vehicle
+    )
 
     def group(name: str, kind: type[Term]) -> list[Any]:
         return build_terms(config.get(name), name, kind, allowed)
 
-    def one(name: str) -> Any:  # noqa: ANN401
+    def one(name: str) -> Any:
         return build(config[name], name, allowed=allowed).named(name)
 
     task = config["task"]
@@ -113,8 +139,12 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
         action=one("action"),
         rate_loop=one("rate_loop"),
         dynamics=one("dynamics"),
-        task=build(task["control_points"], "task.control_points", allowed=allowed).named("control_points"),
-        initial_state=build(task["initial_state"], "task.initial_state", allowed=allowed).named("initial_state"),
+        task=build(task["control_points"], "task.control_points", allowed=allowed).named(
+            "control_points"
+        ),
+        initial_state=build(task["initial_state"], "task.initial_state", allowed=allowed).named(
+            "initial_state"
+        ),
         sensors=group("sensor", kinds.Sensor),
         terminations=group("termination", kinds.Termination),
         rewards=group("reward", Reward),
@@ -147,43 +177,61 @@ def build_pool(
     )
 
 
-def build_env(config: Mapping[str, Any], pool: ScenePool, **options: Any) -> QuadrotorEnv:  # noqa: ANN401
+def build_env(config: Mapping[str, Any], pool: ScenePool, **options: Any) -> QuadrotorEnv:
     """The environment of a run's configuration, resetting into `pool`."""
     return QuadrotorEnv(
-        build_stages(config), pool, num_envs=config["num_envs"], device=config["device"], compiled=config["compile"], **options
+        build_stages(config),
+        pool,
+        num_envs=config["num_envs"],
+        device=config["device"],
+        compiled=config["compile"],
+        **options,
     )
 
 
 def load_config(path: Path) -> DictConfig:
     """A stored configuration, read as data."""
     if not path.exists():
-        raise ConfigError(f"{path} does not exist; give the folder of a finished run or of a shipped policy.")
+        raise ConfigError(
+            f"{path} does not exist; give the folder of a finished run or of a shipped policy."
+        )
     return OmegaConf.load(path)
 
 
 def _in_layout(observations: list[Observation], layout: Iterable[str]) -> list[Observation]:
-    """Observations in the order of `layout`; those it does not name follow in the order of the configuration."""
+    """Observations in the order of `layout`; those it does not name follow as configured."""
     order = {name: number for number, name in enumerate(layout)}
     return sorted(observations, key=lambda term: order.get(term.name, len(order)))
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401
+def _plain(value: Any) -> Any:
     return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
 
 
-def _public(module: Any) -> list[str]:  # noqa: ANN401
-    return [name for name, value in vars(module).items() if inspect.isclass(value) and not name.startswith("_")]
+def _public(module: Any) -> list[str]:
+    return [
+        name
+        for name, value in vars(module).items()
+        if inspect.isclass(value) and not name.startswith("_")
+    ]
 
 
-def _check_type(path: str, value: Any, annotation: Any) -> None:  # noqa: ANN401
+def _check_type(path: str, value: Any, annotation: Any) -> None:
     """Numbers must be numbers: a string where a number is expected is a typo, not a wish."""
     if annotation in (float, int):
         wanted = (int, float) if annotation is float else (int,)
         if isinstance(value, bool) or not isinstance(value, wanted):
-            raise ConfigError(f"{path} is {value!r}; expected {'a number' if annotation is float else 'a whole number'}.")
+            raise ConfigError(
+                f"{path} is {value!r}; expected "
+                f"{'a number' if annotation is float else 'a whole number'}."
+            )
         if value != value:
             raise ConfigError(f"{path} is not a number (NaN); give a finite one.")
     elif annotation is bool and not isinstance(value, bool):
         raise ConfigError(f"{path} is {value!r}; expected true or false.")
-    elif get_origin(annotation) is not None and float in get_args(annotation) and isinstance(value, str):
+    elif (
+        get_origin(annotation) is not None
+        and float in get_args(annotation)
+        and isinstance(value, str)
+    ):
         raise ConfigError(f"{path} is {value!r}; expected numbers.")

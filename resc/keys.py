@@ -1,7 +1,8 @@
 """The vocabulary: every TensorDict key with its shape, unit, frame and meaning.
 
-Terms *read* keys and *write* keys; nothing else connects them. Frames: `w` world ENU (z up), `b` body FLU. Shapes leave out
-the environment axis `n`; shared keys (the maps of the scene pool) have none.
+Terms *read* keys and *write* keys; nothing else connects them. Frames: `w` world ENU (z up), `b`
+body FLU. Shapes leave out the environment axis `n`; shared keys (the maps of the scene pool) have
+none.
 """
 
 from dataclasses import dataclass
@@ -13,7 +14,10 @@ NestedKey = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Declaration:
-    """What one key holds. `shape` is per environment, or the whole shape's meaning when `shared`."""
+    """What one key holds.
+
+    `shape` is per environment, or the whole shape's meaning when `shared`.
+    """
 
     shape: tuple[int | str, ...]
     unit: str
@@ -37,48 +41,87 @@ def _declare(
     return path
 
 
-ACTION = _declare(("action",), (4,), "-", "policy output in [-1, 1]: roll, pitch, yaw rate, collective thrust")
+ACTION = _declare(
+    ("action",), (4,), "-", "policy output in [-1, 1]: roll, pitch, yaw rate, collective thrust"
+)
 
 POSITION_W = _declare(("state", "position_w"), (3,), "m", "centre of mass")
 VELOCITY_W = _declare(("state", "velocity_w"), (3,), "m/s", "velocity")
-ATTITUDE_WB = _declare(("state", "attitude_wb"), (4,), "-", "Hamilton quaternion wxyz, body to world")
+ATTITUDE_WB = _declare(
+    ("state", "attitude_wb"), (4,), "-", "Hamilton quaternion wxyz, body to world"
+)
 BODY_RATE_B = _declare(("state", "body_rate_b"), (3,), "rad/s", "angular velocity")
-ROTOR_THRUST = _declare(("state", "rotor_thrust"), (4,), "N", "thrust of each rotor: FR, RR, RL, FL")
-ACCELERATION_W = _declare(("state", "acceleration_w"), (3,), "m/s^2", "mean kinematic acceleration over the last step")
+ROTOR_THRUST = _declare(
+    ("state", "rotor_thrust"), (4,), "N", "thrust of each rotor: FR, RR, RL, FL"
+)
+ACCELERATION_W = _declare(
+    ("state", "acceleration_w"), (3,), "m/s^2", "mean kinematic acceleration over the last step"
+)
 
 ACTION_QUEUE = _declare(("command", "action_queue"), ("d", 4), "-", "last actions, newest first")
-COLLECTIVE_THRUST = _declare(("command", "collective_thrust"), (1,), "N", "commanded sum of the rotor thrusts")
+COLLECTIVE_THRUST = _declare(
+    ("command", "collective_thrust"), (1,), "N", "commanded sum of the rotor thrusts"
+)
 BODY_RATE_COMMAND_B = _declare(("command", "body_rate_b"), (3,), "rad/s", "commanded body rate")
-ROTOR_COMMAND = _declare(("command", "rotor_thrust"), (4,), "N", "rotor thrust after rate loop and allocation")
+ROTOR_COMMAND = _declare(
+    ("command", "rotor_thrust"), (4,), "N", "rotor thrust after rate loop and allocation"
+)
 
 MASS = _declare(("params", "mass"), (1,), "kg", "mass")
 INERTIA_B = _declare(("params", "inertia_b"), (3,), "kg m^2", "diagonal of the inertia matrix")
-TORQUE_COEFFICIENT = _declare(("params", "torque_coefficient"), (1,), "m", "yaw torque per rotor thrust")
-ARM = _declare(("params", "arm"), (3,), "m", "rotor offsets: x, y of the front rotors, y of the rear rotors")
+TORQUE_COEFFICIENT = _declare(
+    ("params", "torque_coefficient"), (1,), "m", "yaw torque per rotor thrust"
+)
+ARM = _declare(
+    ("params", "arm"), (3,), "m", "rotor offsets: x, y of the front rotors, y of the rear rotors"
+)
 THRUST_SCALE = _declare(("params", "thrust_scale"), (1,), "-", "true over nominal rotor thrust")
-ACTION_DELAY = _declare(("params", "action_delay"), (1,), "steps", "age of the action that is applied")
+ACTION_DELAY = _declare(
+    ("params", "action_delay"), (1,), "steps", "age of the action that is applied"
+)
 
 CLOCK = _declare(("clock", "step"), (1,), "steps", "control steps since the reset")
 SCENE_INDEX = _declare(("scene", "index"), (1,), "-", "entry of the scene pool", torch.int64)
 
 START_W = _declare(("task", "start_w"), (3,), "m", "where the episode begins")
 ROUTE_W = _declare(("task", "route_w"), ("k", 3), "m", "all control points, padded with the last")
-ROUTE_LENGTH = _declare(("task", "route_length"), (1,), "-", "number of control points", torch.int64)
-ROUTE_INDEX = _declare(("task", "route_index"), (1,), "-", "control points already passed", torch.int64)
-CONTROL_POINTS_W = _declare(("task", "control_points_w"), (2, 3), "m", "next two control points, the last repeated")
+ROUTE_LENGTH = _declare(
+    ("task", "route_length"), (1,), "-", "number of control points", torch.int64
+)
+ROUTE_INDEX = _declare(
+    ("task", "route_index"), (1,), "-", "control points already passed", torch.int64
+)
+CONTROL_POINTS_W = _declare(
+    ("task", "control_points_w"), (2, 3), "m", "next two control points, the last repeated"
+)
 TARGET_W = _declare(("task", "target_w"), (3,), "m", "control point aimed at during the last step")
-PASSED = _declare(("task", "passed"), (1,), "-", "a control point was passed in the last step", torch.bool)
-FINISHED = _declare(("task", "finished"), (1,), "-", "the last control point has been passed", torch.bool)
+PASSED = _declare(
+    ("task", "passed"), (1,), "-", "a control point was passed in the last step", torch.bool
+)
+FINISHED = _declare(
+    ("task", "finished"), (1,), "-", "the last control point has been passed", torch.bool
+)
 
-ESDF = _declare(("map", "esdf"), ("p", "h", "w"), "m", "distance between cell centres, truncated", shared=True)
+ESDF = _declare(
+    ("map", "esdf"), ("p", "h", "w"), "m", "distance between cell centres, truncated", shared=True
+)
 MAP_ORIGIN_W = _declare(("map", "origin_w"), ("p", 2), "m", "lower-left corner", shared=True)
 MAP_SIZE = _declare(("map", "size"), ("p", 2), "m", "extent in x and y", shared=True)
-BOXES_W = _declare(("map", "boxes_w"), ("p", "k", 4), "m", "columns: x and y of the corner, lengths", shared=True)
+BOXES_W = _declare(
+    ("map", "boxes_w"), ("p", "k", 4), "m", "columns: x and y of the corner, lengths", shared=True
+)
 
 CLEARANCE = _declare(("sensor", "clearance"), (1,), "m", "distance field at the vehicle's cell")
-SURFACE_CLEARANCE = _declare(("sensor", "surface_clearance"), (1,), "m", "exact distance to the nearest obstacle surface")
+SURFACE_CLEARANCE = _declare(
+    ("sensor", "surface_clearance"), (1,), "m", "exact distance to the nearest obstacle surface"
+)
 EULER = _declare(("sensor", "euler"), (3,), "rad", "roll, pitch, yaw (ZYX)")
-LIMIT_VIOLATIONS = _declare(("sensor", "limit_violations"), (1,), "-", "how many of speed, acceleration, attitude exceed their limits")
+LIMIT_VIOLATIONS = _declare(
+    ("sensor", "limit_violations"),
+    (1,),
+    "-",
+    "how many of speed, acceleration, attitude exceed their limits",
+)
 
 TERMINATED = _declare(("terminated",), (1,), "-", "the episode ended in its own right", torch.bool)
 TRUNCATED = _declare(("truncated",), (1,), "-", "the episode was cut by the clock", torch.bool)

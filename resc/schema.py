@@ -77,8 +77,9 @@ class TrainSchema(RunSchema):
 class EvaluateSchema(RunSchema):
     """What only an evaluation needs.
 
-    The groups env, vehicle, action, rate_loop, dynamics, observation and reward are the policy's own unless the command line
-    names one; `scene` holds numbers that replace those of every scene flown.
+    The groups env, vehicle, action, rate_loop, dynamics, observation and reward are the policy's
+    own unless the command line names one; `scene` holds numbers that replace those of every scene
+    flown.
 
     Args:
         policy: Folder of a shipped policy or of a finished training run.
@@ -97,7 +98,7 @@ class EvaluateSchema(RunSchema):
 
 
 def register() -> None:
-    """Makes the schemas known to Hydra: `schema` of train.yaml, `evaluate_schema` of evaluate.yaml."""
+    """Makes `schema` of train.yaml and `evaluate_schema` of evaluate.yaml known to Hydra."""
     store = ConfigStore.instance()
     store.store(name="schema", node=TrainSchema)
     store.store(name="evaluate_schema", node=EvaluateSchema)

@@ -31,9 +31,9 @@ class Context:
 class Term(TensorDictModuleBase):
     """A pure function from the tensors under `reads` to the tensors under `writes`.
 
-    `writes = ()` means one key named by the configuration, `(group, name)`. Terms hold constants only; what must survive a
-    step is written under a key with an `initial` value. `draws` uniform numbers per reset environment reach `compute` as its
-    last argument when `draws > 0`.
+    `writes = ()` means one key named by the configuration, `(group, name)`. Terms hold constants
+    only; what must survive a step is written under a key with an `initial` value. `draws` uniform
+    numbers per reset environment reach `compute` as its last argument when `draws > 0`.
     """
 
     reads: ClassVar[tuple[NestedKey, ...]] = ()
@@ -48,7 +48,9 @@ class Term(TensorDictModuleBase):
 
     def compute(self, *tensors: Tensor) -> Tensor | tuple[Tensor, ...]:
         """The maths, on batched tensors in the order of `reads`."""
-        raise ConfigError(f"{type(self).__name__} has no compute(); add one that takes {len(self.reads)} tensors.")
+        raise ConfigError(
+            f"{type(self).__name__} has no compute(); add one that takes {len(self.reads)} tensors."
+        )
 
     def named(self, name: str) -> "Term":
         """Gives the term its configured name and, with it, its keys."""
@@ -121,7 +123,10 @@ class Reward(Term):
 
 
 class Termination(Term):
-    """A reason to end an episode, [n, 1] bool. `truncates`: the clock's doing, so the value function bootstraps."""
+    """A reason to end an episode, [n, 1] bool.
+
+    `truncates`: the clock's doing, so the value function bootstraps.
+    """
 
     group = "termination"
     truncates: ClassVar[bool] = False
@@ -137,7 +142,8 @@ class Randomization(Term):
 class Metric(Term):
     """A running number per episode, [n, 1]: `compute(so_far, *reads)` gives its next value.
 
-    `start` is its value at the reset; it stands still once the route is finished, unless it says otherwise.
+    `start` is its value at the reset; it stands still once the route is finished, unless it says
+    otherwise.
     """
 
     group = "metric"

@@ -18,7 +18,9 @@ from resc.envs.stages import Stages
 
 CONF = Path(__file__).parents[1] / "conf"
 
-torch.set_num_threads(1)  # the tests share few cores; threads of torch would only wait for each other
+torch.set_num_threads(
+    1
+)  # the tests share few cores; threads of torch would only wait for each other
 
 
 @pytest.fixture(scope="session")
@@ -42,7 +44,7 @@ def make_stages(compose: Callable[..., DictConfig]) -> Callable[..., Stages]:
 
 @pytest.fixture(scope="session")
 def make_env(compose: Callable[..., DictConfig]) -> Callable[..., QuadrotorEnv]:
-    """`make_env(*overrides, seed=0, scenes=8, **options)`: an environment that has not been reset yet."""
+    """`make_env(*overrides, seed=0, scenes=8, **options)`: an environment not yet reset."""
 
     def make(*overrides: str, seed: int = 0, scenes: int = 8, **options: Any) -> QuadrotorEnv:
         config = compose(*overrides)

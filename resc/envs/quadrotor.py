@@ -18,8 +18,9 @@ from resc.scenes.pool import ScenePool
 class QuadrotorEnv(EnvBase):
     """`num_envs` quadrotors flying through scenes of a pool, one compiled control step at a time.
 
-    Two faces of one simulation: TorchRL's `step` and `reset`, and, without their overhead of milliseconds a step, `advance`
-    and `restart`, which training uses. All mutable state is `world`; a seed fixes every draw.
+    Two faces of one simulation: TorchRL's `step` and `reset`, and, without their overhead of
+    milliseconds a step, `advance` and `restart`, which training uses. All mutable state is `world`;
+    a seed fixes every draw.
 
     Args:
         stages: The compiled-to-be functions.
@@ -27,9 +28,10 @@ class QuadrotorEnv(EnvBase):
         num_envs: Batch size.
         seed: Seed of every drawing term.
         device: Where the tensors live.
-        compiled: Whether the step and the reset are compiled; the numbers agree to rounding. (TorchRL keeps the argument
-            name `compile` for itself.)
-        in_order: Resets walk through the pool, row i starting at entry i, instead of drawing entries: for evaluation.
+        compiled: Whether the step and the reset are compiled; the numbers agree to rounding.
+            (TorchRL keeps the argument name `compile` for itself.)
+        in_order: Resets walk through the pool, row i starting at entry i, instead of drawing
+            entries: for evaluation.
         closed: Entries of the pool, next in turn for renewal, that no episode starts in.
     """
 
@@ -62,7 +64,9 @@ class QuadrotorEnv(EnvBase):
         self._restart_function = self._restart_rows
         if compiled:
             self._step_function = torch.compile(stages.step, fullgraph=True, dynamic=False)
-            self._restart_function = torch.compile(self._restart_rows, fullgraph=True, dynamic=False)
+            self._restart_function = torch.compile(
+                self._restart_rows, fullgraph=True, dynamic=False
+            )
         self._make_specs()
         self.set_seed(seed)
         self._world: World = {}
@@ -105,20 +109,36 @@ class QuadrotorEnv(EnvBase):
         """Begins new episodes in the given rows; returns the observation of all rows [n, width]."""
         if not self._world:
             self._allocate()
-        self.observation = self.observation.clone()  # the caller keeps the last observation of the episode
+        if not len(rows):
+            return self.observation
+        # A copy: the caller keeps the last observation of the episode.
+        self.observation = self.observation.clone()
         for part in rows.cpu().split(self.chunk):
             filled = torch.arange(self.chunk).clamp(max=len(part) - 1)
             target = part[filled].to(self.device)
             entry = self._entries(part)[filled].unsqueeze(-1).to(self.device)
             drawn = {
-                name: torch.rand(len(part), width, generator=self.generators[name])[filled].to(self.device)
+                name: torch.rand(len(part), width, generator=self.generators[name])[filled].to(
+                    self.device
+                )
                 for name, width in self.draws.items()
             }
-            self._restart_function(self._world, self.observation, target, entry, self.pool.tasks, self.pool.shared, drawn)
+            self._restart_function(
+                self._world,
+                self.observation,
+                target,
+                entry,
+                self.pool.tasks,
+                self.pool.shared,
+                drawn,
+            )
         return self.observation
 
     def renew(self, count: int) -> Tensor:
-        """Renews `count` scenes of the pool; returns the rows that were still flying in them [k] and must restart."""
+        """Renews `count` scenes of the pool; returns the rows still flying in them [k].
+
+        These must restart.
+        """
         entries = self.pool.renew(count).to(self.device)
         return torch.isin(self._world[keys.SCENE_INDEX][:, 0], entries).nonzero()[:, 0]
 
@@ -137,7 +157,9 @@ class QuadrotorEnv(EnvBase):
             entries = (rows + self.visits[rows] * self.num_envs) % len(self.pool)
             self.visits[rows] += 1
             return entries
-        return self.pool.entry(torch.rand(len(rows), generator=self.generators["scene"]), self.closed)
+        return self.pool.entry(
+            torch.rand(len(rows), generator=self.generators["scene"]), self.closed
+        )
 
     def _restart_rows(
         self,
@@ -156,22 +178,31 @@ class QuadrotorEnv(EnvBase):
 
     def _allocate(self) -> None:
         """An empty world of the right shapes."""
-        drawn = {name: torch.zeros(1, width, device=self.device) for name, width in self.draws.items()}
+        drawn = {
+            name: torch.zeros(1, width, device=self.device) for name, width in self.draws.items()
+        }
         entry = torch.zeros(1, 1, dtype=torch.int64, device=self.device)
         fresh, _ = self.stages.restart(self.pool.tasks, entry, self.pool.shared, drawn)
-        self._world = {key: value.new_zeros(self.num_envs, *value.shape[1:]) for key, value in fresh.items()}
+        self._world = {
+            key: value.new_zeros(self.num_envs, *value.shape[1:]) for key, value in fresh.items()
+        }
 
     def _report_bad_action(self, action: Tensor) -> None:
         row = int((~action.isfinite().all(-1)).nonzero()[0, 0])
         step = int(self._world[keys.CLOCK][row, 0])
         raise NumericalError(
-            f"The policy's output for environment {row} at step {step} of its episode is {action[row].tolist()}; "
+            f"The policy's output for environment {row} at step {step} of its episode is "
+            f"{action[row].tolist()}; "
             f"lower the learning rate or resume from an earlier checkpoint."
         )
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed_value = 0 if seed is None else seed
-        drawing = [t for t in (*self.stages.terms.randomizations, self.stages.terms.initial_state) if t.draws]
+        drawing = [
+            t
+            for t in (*self.stages.terms.randomizations, self.stages.terms.initial_state)
+            if t.draws
+        ]
         self.draws = {term.name: term.draws for term in drawing}
         names = ["scene", *self.draws]
         self.generators = {name: generator_for(self.seed_value, name) for name in names}
@@ -198,7 +229,9 @@ class QuadrotorEnv(EnvBase):
         observation = self.restart(rows) if len(rows) else self.observation
         outcome = torch.zeros(self.num_envs, 1, dtype=torch.int64, device=self.device)
         return TensorDict(
-            {"observation": observation.clone(), "outcome": outcome}, batch_size=self.batch_size, device=self.device
+            {"observation": observation.clone(), "outcome": outcome},
+            batch_size=self.batch_size,
+            device=self.device,
         )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:

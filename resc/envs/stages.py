@@ -10,20 +10,31 @@ from torch import Tensor, nn
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import DECLARED, NestedKey, previous
-from resc.term import Action, Context, Metric, Observation, Randomization, Reward, Sensor, Term, Termination
 from resc.simulation.vehicle import GRAVITY_MPS2
+from resc.term import (
+    Action,
+    Context,
+    Metric,
+    Observation,
+    Randomization,
+    Reward,
+    Sensor,
+    Term,
+    Termination,
+)
 from resc.terms.tasks.control_points import next_two
 
 World = dict[NestedKey, Tensor]
 
-STEP_INPUTS = (keys.ACTION, keys.CLOCK)
-"""Keys that the stages themselves write in a step."""
 SUCCESS = "success"
 
 
 @dataclass(frozen=True)
 class Terms:
-    """Everything an environment is made of, in the order it runs. Observations in the order of the policy's input."""
+    """Everything an environment is made of, in the order it runs.
+
+    Observations in the order of the policy's input.
+    """
 
     action: Action
     rate_loop: Term
@@ -42,12 +53,21 @@ class Terms:
         yield from self.randomizations
         yield self.initial_state
         yield from (self.action, self.rate_loop, self.dynamics, self.task)
-        for stage in (self.sensors, self.terminations, self.rewards, self.metrics, self.observations):
+        for stage in (
+            self.sensors,
+            self.terminations,
+            self.rewards,
+            self.metrics,
+            self.observations,
+        ):
             yield from stage
 
 
 class StepOutput(NamedTuple):
-    """What a step tells the learner. Rows that are done still show the last observation of their episode."""
+    """What a step tells the learner.
+
+    Rows that are done still show the last observation of their episode.
+    """
 
     observation: Tensor
     reward: Tensor
@@ -68,7 +88,9 @@ class Stages(nn.Module):
     def __init__(self, terms: Terms, context: Context) -> None:
         super().__init__()
         self.terms = terms
-        self.modules_of_terms = nn.ModuleList(list(terms))  # so that .to(device) reaches their buffers
+        self.modules_of_terms = nn.ModuleList(
+            list(terms)
+        )  # so that .to(device) reaches their buffers
         self.context = context
         for term in terms:
             term.bind(context)
@@ -86,7 +108,9 @@ class Stages(nn.Module):
     @property
     def observation_columns(self) -> list[str]:
         """Names of the observation's numbers: term.column."""
-        return [f"{term.name}.{column}" for term in self.terms.observations for column in term.columns]
+        return [
+            f"{term.name}.{column}" for term in self.terms.observations for column in term.columns
+        ]
 
     def step(self, world: World, shared: World, action: Tensor) -> tuple[World, StepOutput]:
         """One control step of every environment: the next world and what the learner sees of it."""
@@ -94,12 +118,21 @@ class Stages(nn.Module):
         tensors = {**world, **shared, keys.ACTION: action, keys.CLOCK: world[keys.CLOCK] + 1}
         for key in self.memory:
             tensors[key] = world[key[1:]]
-        for term in (terms.action, terms.rate_loop, terms.dynamics, terms.task, *terms.sensors, *terms.terminations):
+        for term in (
+            terms.action,
+            terms.rate_loop,
+            terms.dynamics,
+            terms.task,
+            *terms.sensors,
+            *terms.terminations,
+        ):
             term.run(tensors)
         self._finish(tensors)
         for term in terms.rewards:
             term.run(tensors)
-        reward_terms = torch.cat([tensors[term.outputs[0]] * term.weight for term in terms.rewards], -1)
+        reward_terms = torch.cat(
+            [tensors[term.outputs[0]] * term.weight for term in terms.rewards], -1
+        )
         for term in terms.metrics:
             self._advance_metric(term, tensors)
         out = StepOutput(
@@ -113,8 +146,10 @@ class Stages(nn.Module):
         )
         return {key: tensors[key] for key in world}, out
 
-    def restart(self, tasks: World, index: Tensor, shared: World, drawn: Mapping[str, Tensor]) -> tuple[World, Tensor]:
-        """The world and the observation of episodes that begin in the pool's entries `index` [k, 1]."""
+    def restart(
+        self, tasks: World, index: Tensor, shared: World, drawn: Mapping[str, Tensor]
+    ) -> tuple[World, Tensor]:
+        """World and observation of episodes that begin in the pool's entries `index` [k, 1]."""
         terms = self.terms
         count = index.shape[0]
         tensors = {**shared, keys.SCENE_INDEX: index}
@@ -134,7 +169,9 @@ class Stages(nn.Module):
             keys.ROTOR_THRUST: hover.expand(-1, 4),
             keys.ROUTE_INDEX: torch.zeros_like(length),
             keys.FINISHED: torch.zeros_like(length, dtype=torch.bool),
-            keys.CONTROL_POINTS_W: next_two(tensors[keys.ROUTE_W], length, torch.zeros_like(length)),
+            keys.CONTROL_POINTS_W: next_two(
+                tensors[keys.ROUTE_W], length, torch.zeros_like(length)
+            ),
         }
         for term in terms:
             for key, value in term.initial.items():
@@ -153,7 +190,13 @@ class Stages(nn.Module):
     def persistent(self) -> list[NestedKey]:
         """Keys of the world: what one step hands to the next."""
         state = [key for key in DECLARED if key[0] in ("state", "params")]
-        task = [keys.ROUTE_W, keys.ROUTE_LENGTH, keys.ROUTE_INDEX, keys.CONTROL_POINTS_W, keys.FINISHED]
+        task = [
+            keys.ROUTE_W,
+            keys.ROUTE_LENGTH,
+            keys.ROUTE_INDEX,
+            keys.CONTROL_POINTS_W,
+            keys.FINISHED,
+        ]
         kept = [key for term in self.terms for key in term.initial]
         metrics = [term.outputs[0] for term in self.terms.metrics]
         return [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *dict.fromkeys(kept), *metrics]
@@ -187,22 +230,36 @@ class Stages(nn.Module):
 
     def _observe(self, tensors: World) -> Tensor:
         blocks = [
-            term.compute(*(tensors[key] for key in term.reads)) * term.scale for term in self.terms.observations
+            term.compute(*(tensors[key] for key in term.reads)) * term.scale
+            for term in self.terms.observations
         ]
         return torch.cat(blocks, -1)
 
     def _check_wiring(self) -> None:
-        """Every key a term reads must be there before it runs."""
+        """Every key a term reads must be there before it runs, for observations at a reset too."""
+        kept = set(self.persistent)
+        past = {key for key in self.memory if key[1:] in kept}
         shared = {key for key, declared in DECLARED.items() if declared.shared}
-        known = shared | set(self.persistent) | set(self.memory) | {keys.START_W, *STEP_INPUTS}
+        at_reset = shared | kept | past | {keys.START_W, keys.CLOCK}
+        known = at_reset | {keys.ACTION}
         for term in self.terms:
-            for key in term.reads:
-                if key not in known | {keys.TERMINATED, keys.TRUNCATED, keys.DONE}:
-                    raise ConfigError(
-                        f"{term.group or 'term'}.{term.name} reads {'.'.join(key)}, which nothing before it writes; "
-                        f"add a term that does, or drop this one."
-                    )
+            if isinstance(term, Reward):
+                known |= {keys.TERMINATED, keys.TRUNCATED, keys.DONE}
+            _require(term, known, "which nothing before it writes")
             known |= set(term.outputs)
+        for term in self.terms.sensors:
+            at_reset |= set(term.outputs) if at_reset.issuperset(term.reads) else set()
+        for term in self.terms.observations:
+            _require(term, at_reset, "which an episode does not begin with")
+
+
+def _require(term: Term, known: set[NestedKey], fact: str) -> None:
+    for key in term.reads:
+        if key not in known:
+            raise ConfigError(
+                f"{term.group or 'term'}.{term.name} reads {'.'.join(key)}, {fact}; "
+                "add a term that writes it, or drop this one."
+            )
 
 
 def _buffer_name(key: NestedKey) -> str:

@@ -15,9 +15,9 @@ from resc.evaluation.statistics import SceneReport
 ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("flights", lambda r: str(r.episodes)),
     ("success [%]", lambda r: _percent(r.success_rate)),
-    ("  95 % interval", lambda r: f"{_percent(r.success_low)} to {_percent(r.success_high)}"),
+    ("  95 % interval", lambda r: f"{_percent(r.success_low)}-{_percent(r.success_high)}"),
     ("collisions [%]", lambda r: _percent(r.collision_rate)),
-    ("within 0.3 m of an obstacle [%]", lambda r: _percent(r.close_rate)),
+    ("closer than 0.3 m [%]", lambda r: _percent(r.close_rate)),
     ("time to 0.5 m [s]", lambda r: _number(r.time_span_s, 2)),
     ("time to 0.2 m [s]", lambda r: _number(r.time_within_fifth_s, 2)),
     ("path flown [m]", lambda r: _number(r.path_length_m, 2)),
@@ -33,13 +33,13 @@ PER_SCENE = ("time", "path", "energy")
 """First words of the rows that mean nothing over several scenes."""
 FOOTNOTES = """\
 Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half
-height is entered. Collision: the centre of mass touches an obstacle; flights that only come closer
-than the 0.3 m by which the paper inflates obstacles are counted apart. Flights start at rest, within
+height is entered. Collision: the centre of mass touches an obstacle. Closer than 0.3 m: what the
+paper inflates obstacles by was entered, with or without a collision. Flights start at rest, within
 the jitter of the scene's start; scenes that bring their own routes (training, free) are flown under
 the rules of the training instead. Times, lengths and energy are medians over the flights that
 arrive: time from the start to the first step within 0.5 m (0.2 m) of the goal, path and energy up
-to the success. A flight that never comes within 0.2 m counts as endless there, and `-` is an
-endless median. Energy is the integral of squared jerk; jerk is the change of the mean acceleration
+to the success. A flight that never comes within 0.2 m counts as endless there; `-` is an endless
+median, or none. Energy is the integral of squared jerk; jerk is the change of the mean acceleration
 from one control step to the next. Clearance (centre of mass to obstacle surface), speed,
 acceleration and limits are over all flights; a step is over a limit above 3 m/s, 6 m/s^2 or
 37.5 deg of roll or pitch.

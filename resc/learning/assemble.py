@@ -12,7 +12,7 @@ from resc.learning.ppo import Ppo
 from resc.planning.route import planner_for
 
 CLOSED_BATCHES = 4
-"""Batches for which a scene takes no new episodes before it is renewed; longer than nearly every episode."""
+"""Batches without new episodes before a scene is renewed; longer than nearly every episode."""
 
 
 def build_trainer(config: DictConfig) -> Ppo:
@@ -24,10 +24,13 @@ def build_trainer(config: DictConfig) -> Ppo:
     renewed, size = config["renew_scenes"], config["pool_size"]
     if not 0 <= (CLOSED_BATCHES + 1) * renewed <= size:
         raise ConfigError(
-            f"renew_scenes is {renewed}; with pool_size {size} it can be 0 to {size // (CLOSED_BATCHES + 1)}."
+            f"renew_scenes is {renewed}; with pool_size {size} it can be 0 to "
+            f"{size // (CLOSED_BATCHES + 1)}."
         )
     if config["seed"] == config["evaluation_seed"]:
-        raise ConfigError(f"seed is {config['seed']}, the seed of the evaluation scenes; choose another.")
+        raise ConfigError(
+            f"seed is {config['seed']}, the seed of the evaluation scenes; choose another."
+        )
     pool = build_pool(
         config, size=size, seed=config["seed"], device=config["device"], plan=planner_for(config)
     )
@@ -52,7 +55,7 @@ def build_trainer(config: DictConfig) -> Ppo:
 
 
 def resumed(config: DictConfig, folder: Path) -> tuple[DictConfig, Path]:
-    """The configuration and folder to train with: those of the interrupted run that `resume` names, if any.
+    """Configuration and folder to train with: those of the run that `resume` names, if any.
 
     A larger `total_frames` on the command line lengthens the run.
     """
@@ -73,8 +76,10 @@ def restore(trainer: Ppo, folder: Path, config: DictConfig) -> None:
 
 
 def fly_held_out(config: DictConfig, folder: Path) -> Flights:
-    """The trained policy's mean action over fixed episodes of the training law, on scenes never trained on."""
+    """The policy's mean action over fixed episodes of the training law, on unseen scenes."""
     episodes, seed = config["evaluation_episodes"], config["evaluation_seed"]
-    pool = build_pool(config, size=episodes, seed=seed, device=config["device"], plan=planner_for(config))
+    pool = build_pool(
+        config, size=episodes, seed=seed, device=config["device"], plan=planner_for(config)
+    )
     env = build_env({**config, "num_envs": episodes}, pool, seed=seed, in_order=True)
     return fly(env, load_policy(folder, config["device"]), trace=False)

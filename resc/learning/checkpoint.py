@@ -1,4 +1,7 @@
-"""Checkpoints that resume bit for bit, and small policy files; both are data, loaded without running code."""
+"""Checkpoints that resume bit for bit, and small policy files.
+
+Both are data, loaded without running code.
+"""
 
 import io
 import os
@@ -47,7 +50,7 @@ class Policy:
         return self.head(observation)[0].clamp(-1, 1)
 
     def require_layout(self, stages: Stages) -> None:
-        """Raises CheckpointError, naming the first difference, if the environment observes something else."""
+        """Raises CheckpointError, naming the first difference, if observations differ."""
         theirs = tuple(layout_of(stages))
         if theirs == self.layout:
             return
@@ -56,8 +59,10 @@ class Policy:
             given = theirs[number] if number < len(theirs) else ("nothing", 0)
             if trained != given:
                 raise CheckpointError(
-                    f"The policy was trained on {trained[0]} ({trained[1]} numbers) as observation block {number}, but the "
-                    f"environment gives {given[0]} ({given[1]}); fly it with the observation of its own config.yaml."
+                    f"The policy was trained on {trained[0]} ({trained[1]} numbers) as observation "
+                    f"block {number}, but the "
+                    f"environment gives {given[0]} ({given[1]}); fly it with the observation of "
+                    "its own config.yaml."
                 )
 
 
@@ -66,7 +71,11 @@ def save_policy(folder: Path, networks: Networks, stages: Stages, config: DictCo
     folder.mkdir(parents=True, exist_ok=True)
     state = {name: value.cpu() for name, value in networks.head.state_dict().items()}
     value = {name: value.cpu() for name, value in networks.critic.state_dict().items()}
-    content = {"head": state, "critic": value, "layout": [list(block) for block in layout_of(stages)]}
+    content = {
+        "head": state,
+        "critic": value,
+        "layout": [list(block) for block in layout_of(stages)],
+    }
     write_atomically(folder / POLICY, content)
     OmegaConf.save(config, folder / CONFIG)
 
@@ -80,7 +89,9 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
     """
     folder = Path(folder)
     if not (folder / POLICY).exists():
-        raise CheckpointError(f"{folder} holds no {POLICY}; give the folder of a finished run, or policies/obstacles.")
+        raise CheckpointError(
+            f"{folder} holds no {POLICY}; give the folder of a finished run, or policies/obstacles."
+        )
     content = read(folder / POLICY, ("head", "layout"))
     config = load_config(folder / CONFIG)
     layout = tuple((str(name), int(width)) for name, width in content["layout"])
@@ -93,7 +104,9 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
     try:
         networks.head.load_state_dict(content["head"])
     except RuntimeError as error:
-        raise CheckpointError(f"{folder / POLICY} does not fit {CONFIG} beside it: {error}") from None
+        raise CheckpointError(
+            f"{folder / POLICY} does not fit {CONFIG} beside it: {error}"
+        ) from None
     return Policy(networks.head.to(device).eval(), layout, config)
 
 
@@ -122,16 +135,20 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
     """Puts a checkpoint's state into a trainer built from the same configuration.
 
     Raises:
-        CheckpointError: The file is cut short, foreign, or of another observation or number of environments.
+        CheckpointError: The file is cut short, foreign, or of another observation or number of
+            environments.
     """
     content = read(path, ("actor", "critic", "optimizer", "world", "pool", "layout"))
     env = trainer.env
     layout = [list(block) for block in layout_of(env.stages)]
     if content["layout"] != layout:
-        raise CheckpointError(f"{path} was made with the observation {content['layout']}, this run has {layout}.")
+        raise CheckpointError(
+            f"{path} was made with the observation {content['layout']}, this run has {layout}."
+        )
     if content["observation"].shape[0] != env.num_envs:
         raise CheckpointError(
-            f"{path} holds {content['observation'].shape[0]} environments, this run has {env.num_envs}; set num_envs."
+            f"{path} holds {content['observation'].shape[0]} environments, this run has "
+            f"{env.num_envs}; set num_envs."
         )
     trainer.networks.actor.load_state_dict(content["actor"])
     trainer.networks.critic.load_state_dict(content["critic"])

@@ -1,5 +1,6 @@
 """Policy and value networks, as TorchRL modules over TensorDict keys."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,14 +16,16 @@ ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
 
 
 class GaussianHead(nn.Module):
-    """Mean and standard deviation of the action; the deviation does not depend on the observation."""
+    """Mean and standard deviation of the action; the latter is the same everywhere."""
 
     def __init__(self, body: nn.Module, width: int, initial_std: float) -> None:
         super().__init__()
         self.body = body
         self.log_std = nn.Parameter(torch.full((width,), initial_std).log())
 
-    def forward(self, observation: Float[Tensor, "*n d"]) -> tuple[Float[Tensor, "*n a"], Float[Tensor, "*n a"]]:
+    def forward(
+        self, observation: Float[Tensor, "*n d"]
+    ) -> tuple[Float[Tensor, "*n a"], Float[Tensor, "*n a"]]:
         mean = self.body(observation)
         return mean, self.log_std.exp().expand_as(mean)
 
@@ -70,24 +73,30 @@ def build_networks(
         seed: Of the initial weights.
     """
     if activation not in ACTIVATIONS:
-        raise ConfigError(f"activation is '{activation}'; expected one of {', '.join(ACTIVATIONS)}.")
+        raise ConfigError(
+            f"activation is '{activation}'; expected one of {', '.join(ACTIVATIONS)}."
+        )
     if initial_std <= 0 or min(hidden, default=1) < 1:
         raise ConfigError("initial_std and every hidden width must be above zero.")
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         body = _perceptron(observation_width, hidden, action_width, activation, gain=0.01)
         value = _perceptron(observation_width, hidden, 1, activation, gain=1.0)
-    head = TensorDictModule(GaussianHead(body, action_width, initial_std), ["observation"], ["loc", "scale"])
+    head = TensorDictModule(
+        GaussianHead(body, action_width, initial_std), ["observation"], ["loc", "scale"]
+    )
     actor = ProbabilisticActor(
         head, in_keys=["loc", "scale"], distribution_class=IndependentNormal, return_log_prob=True
     )
     return Networks(actor, ValueOperator(value, in_keys=["observation"]))
 
 
-def _perceptron(inputs: int, hidden: Sequence[int], outputs: int, activation: str, gain: float) -> nn.Sequential:
+def _perceptron(
+    inputs: int, hidden: Sequence[int], outputs: int, activation: str, gain: float
+) -> nn.Sequential:
     layers: list[nn.Module] = []
     widths = [inputs, *hidden]
-    for before, after in zip(widths[:-1], widths[1:], strict=True):
+    for before, after in itertools.pairwise(widths):
         layers += [_linear(before, after, 2**0.5), ACTIVATIONS[activation]()]
     return nn.Sequential(*layers, _linear(widths[-1], outputs, gain))
 

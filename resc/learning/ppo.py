@@ -1,7 +1,8 @@
 """Proximal policy optimisation on `QuadrotorEnv`, top to bottom: collect, estimate, update.
 
-A plain loop over TorchRL's loss and advantage functions. TorchRL's collector costs milliseconds per batched step whatever the
-environment does, so the rollout calls `advance` and `restart` directly; acting and updating are compiled.
+A plain loop over TorchRL's loss and advantage functions. TorchRL's collector costs milliseconds per
+batched step whatever the environment does, so the rollout calls `advance` and `restart` directly;
+acting and updating are compiled.
 """
 
 from collections.abc import Callable
@@ -42,8 +43,10 @@ class PpoSettings:
         entropy_coefficient: Weight of the entropy bonus.
         value_coefficient: Weight of the value loss.
         max_grad_norm: Clip of the gradient's norm.
-        reward_scale: Factor on rewards before the value function sees them, so that its targets are of order one.
-        target_kl: Skips the rest of a batch's epochs once the policy has moved this far; null never does.
+        reward_scale: Factor on rewards before the value function sees them, so that its targets are
+            of order one.
+        target_kl: Skips the rest of a batch's epochs once the policy has moved this far; null never
+            does.
     """
 
     steps: int
@@ -64,9 +67,13 @@ class PpoSettings:
         if min(self.steps, self.minibatch, self.epochs) < 1:
             raise ConfigError("steps, minibatch and epochs must be at least 1.")
         if not 0 < self.gamma <= 1 or not 0 <= self.gae_lambda <= 1:
-            raise ConfigError(f"gamma is {self.gamma} and gae_lambda {self.gae_lambda}; expected shares up to 1.")
+            raise ConfigError(
+                f"gamma is {self.gamma} and gae_lambda {self.gae_lambda}; expected shares up to 1."
+            )
         if min(self.learning_rate, self.clip_epsilon, self.reward_scale, self.max_grad_norm) <= 0:
-            raise ConfigError("learning_rate, clip_epsilon, reward_scale and max_grad_norm must be above zero.")
+            raise ConfigError(
+                "learning_rate, clip_epsilon, reward_scale and max_grad_norm must be above zero."
+            )
 
 
 class Ppo:
@@ -102,7 +109,8 @@ class Ppo:
         self.iteration = 0
         if settings.minibatch > settings.steps * env.num_envs:
             raise ConfigError(
-                f"algorithm.minibatch is {settings.minibatch}, more than a batch of {settings.steps} steps x "
+                f"algorithm.minibatch is {settings.minibatch}, more than a batch of "
+                f"{settings.steps} steps x "
                 f"{env.num_envs} environments; lower it."
             )
         self.loss = ClipPPOLoss(
@@ -115,7 +123,9 @@ class Ppo:
             normalize_advantage=True,
         ).to(env.device)
         self.parameters = [p for p in self.loss.parameters() if p.requires_grad]
-        self.optimizer = torch.optim.Adam(self.parameters, lr=settings.learning_rate, eps=1e-5, fused=True)
+        self.optimizer = torch.optim.Adam(
+            self.parameters, lr=settings.learning_rate, eps=1e-5, fused=True
+        )
         self.noise = generator_for(seed, "exploration", env.device)
         self.order = generator_for(seed, "minibatches")
         self._act: Callable[[Tensor, Tensor], tuple[Tensor, ...]] = self._act_eagerly
@@ -124,7 +134,9 @@ class Ppo:
             self._act = torch.compile(self._act_eagerly, fullgraph=True, dynamic=False)
             self._losses = torch.compile(self._losses_eagerly, dynamic=False)
         self.batch = self._allocate()
-        self.statistics = EpisodeStatistics(env.num_envs, (*env.stages.outcomes, RENEWED), env.device)
+        self.statistics = EpisodeStatistics(
+            env.num_envs, (*env.stages.outcomes, RENEWED), env.device
+        )
         env.restart(torch.arange(env.num_envs))
 
     @property
@@ -170,7 +182,10 @@ class Ppo:
 
     @torch.no_grad()
     def estimate_advantages(self) -> None:
-        """Generalised advantages and value targets; truncated episodes bootstrap from their last observation."""
+        """Generalised advantages and value targets.
+
+        Truncated episodes bootstrap from their last observation.
+        """
         batch, settings = self.batch, self.settings
         last_value = self._act(self.env.observation, torch.zeros_like(batch["action"][0]))[2]
         next_value = torch.cat((batch["state_value"][1:], last_value.unsqueeze(0)))
@@ -201,15 +216,21 @@ class Ppo:
         count = 0
         for _ in range(settings.epochs):
             order = torch.randperm(self.batch_frames, generator=self.order).to(self.env.device)
-            for index in order[: self.batch_frames // settings.minibatch * settings.minibatch].split(settings.minibatch):
-                minibatch = TensorDict({name: value[index] for name, value in flat.items()}, batch_size=[len(index)])
+            for index in order[
+                : self.batch_frames // settings.minibatch * settings.minibatch
+            ].split(settings.minibatch):
+                minibatch = TensorDict(
+                    {name: value[index] for name, value in flat.items()}, batch_size=[len(index)]
+                )
                 sums += self._gradient_step(minibatch)
                 count += 1
             if settings.target_kl and float(sums[3] / count) > settings.target_kl:
                 break
         policy, value, entropy, kl, clipped = (sums / count).tolist()
         if not policy + value < float("inf"):
-            raise NumericalError("The loss is not finite; lower algorithm.learning_rate or algorithm.reward_scale.")
+            raise NumericalError(
+                "The loss is not finite; lower algorithm.learning_rate or algorithm.reward_scale."
+            )
         return {
             "loss/policy": policy,
             "loss/value": value,
@@ -231,7 +252,13 @@ class Ppo:
     def _losses_eagerly(self, minibatch: TensorDict) -> tuple[Tensor, ...]:
         out = self.loss(minibatch)
         total = out["loss_objective"] + out["loss_critic"] + out["loss_entropy"]
-        parts = (out["loss_objective"], out["loss_critic"], out["entropy"], out["kl_approx"], out["clip_fraction"])
+        parts = (
+            out["loss_objective"],
+            out["loss_critic"],
+            out["entropy"],
+            out["kl_approx"],
+            out["clip_fraction"],
+        )
         return total, *parts
 
     def _act_eagerly(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
@@ -255,13 +282,18 @@ class Ppo:
 
     def _learning_rate(self) -> float:
         share = min(self.frames / self.total_frames, 1.0)
-        return self.settings.learning_rate + share * (self.settings.final_learning_rate - self.settings.learning_rate)
+        return self.settings.learning_rate + share * (
+            self.settings.final_learning_rate - self.settings.learning_rate
+        )
 
     def _allocate(self) -> TensorDict:
         """The batch's memory, [steps, n]."""
         shape = (self.settings.steps, self.env.num_envs)
         device = self.env.device
-        flags = {name: torch.zeros(*shape, 1, dtype=torch.bool, device=device) for name in ("terminated", "truncated", "done")}
+        flags = {
+            name: torch.zeros(*shape, 1, dtype=torch.bool, device=device)
+            for name in ("terminated", "truncated", "done")
+        }
         widths = {
             "observation": self.env.observation_width,
             "action": self.env.action_spec.shape[-1],
@@ -272,6 +304,10 @@ class Ppo:
             "reward_terms": len(self.env.stages.terms.rewards),
         }
         floats = {name: torch.zeros(*shape, width, device=device) for name, width in widths.items()}
-        states = {key: torch.zeros(*shape, *keys.DECLARED[key].shape, device=device) for key in RECORDED}
+        states = {
+            key: torch.zeros(*shape, *keys.DECLARED[key].shape, device=device) for key in RECORDED
+        }
         log_prob = {"action_log_prob": torch.zeros(shape, device=device)}
-        return TensorDict({**flags, **floats, **states, **log_prob}, batch_size=shape, device=device)
+        return TensorDict(
+            {**flags, **floats, **states, **log_prob}, batch_size=shape, device=device
+        )

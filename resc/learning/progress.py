@@ -1,4 +1,4 @@
-"""What a run shows and leaves: the table of terms, the progress bar, progress.csv, the learning curve."""
+"""What a run shows and leaves: table of terms, progress bar, progress.csv, learning curve."""
 
 import csv
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ import matplotlib as mpl
 from resc.envs.stages import Stages
 
 mpl.use("Agg")
-from matplotlib import pyplot as plt  # noqa: E402 - the backend comes first
+from matplotlib import pyplot as plt
 
 
 class CsvLogger:
@@ -78,11 +78,13 @@ class ProgressTable:
 
 
 def describe(stages: Stages) -> str:
-    """The table of active terms: what is observed, rewarded and ended, with weights, widths and units."""
+    """Table of active terms: what is observed, rewarded and ended, weights, widths, units."""
     lines = ["observation            columns"]
     first = 0
     for term in stages.terms.observations:
-        lines.append(f"  {term.name:<20} {first:>3}-{first + term.width - 1:<3} {', '.join(term.columns)}")
+        lines.append(
+            f"  {term.name:<20} {first:>3}-{first + term.width - 1:<3} {', '.join(term.columns)}"
+        )
         first += term.width
     lines.append("reward                 weight")
     for term in stages.terms.rewards:
@@ -93,7 +95,9 @@ def describe(stages: Stages) -> str:
         lines.append(f"  {term.name:<20} {kind:<9} {_first_sentence(term)}")
     if stages.terms.randomizations:
         lines.append("randomization")
-        lines += [f"  {term.name:<20} {_first_sentence(term)}" for term in stages.terms.randomizations]
+        lines += [
+            f"  {term.name:<20} {_first_sentence(term)}" for term in stages.terms.randomizations
+        ]
     return "\n".join(lines)
 
 
@@ -103,7 +107,9 @@ def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
     figure, (rates, returns, terms) = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
     for name in (n for n in rows[-1] if n.startswith("outcome/")):
         rates.plot(frames, [row.get(name, float("nan")) for row in rows], label=name.split("/")[1])
-    rates.set(xlabel="frames [M]", ylabel="share of episodes", ylim=(0, 1), title="how episodes end")
+    rates.set(
+        xlabel="frames [M]", ylabel="share of episodes", ylim=(0, 1), title="how episodes end"
+    )
     rates.legend(frameon=False, fontsize=8)
     returns.plot(frames, [row.get("episode/return", float("nan")) for row in rows], color="black")
     returns.set(xlabel="frames [M]", title="return")

@@ -55,13 +55,25 @@ class EpisodeStatistics:
         return torch.cat(self.finished) if self.finished else None
 
     def rates(self) -> dict[str, float]:
-        """Share of each outcome, mean return and length over the last finished episodes; episodes cut from outside excluded."""
+        """Share of each outcome, mean return and length over the last finished episodes.
+
+        Episodes cut from outside are excluded.
+        """
         rows = [row for row in self.recent if row[0] < len(self.outcomes) - 1]
         if not rows:
             return {}
-        codes, returns, lengths = (torch.tensor(column, dtype=torch.float64) for column in zip(*rows, strict=True))
-        shares = {f"outcome/{name}": float((codes == i).double().mean()) for i, name in enumerate(self.outcomes[:-1])}
-        return {**shares, "episode/return": float(returns.mean()), "episode/length": float(lengths.mean())}
+        codes, returns, lengths = (
+            torch.tensor(column, dtype=torch.float64) for column in zip(*rows, strict=True)
+        )
+        shares = {
+            f"outcome/{name}": float((codes == i).double().mean())
+            for i, name in enumerate(self.outcomes[:-1])
+        }
+        return {
+            **shares,
+            "episode/return": float(returns.mean()),
+            "episode/length": float(lengths.mean()),
+        }
 
     def state(self) -> dict[str, Tensor | int | list[tuple[int, float, int]]]:
         """For a checkpoint."""
@@ -75,7 +87,11 @@ class EpisodeStatistics:
 
     def load_state(self, state: dict) -> None:
         """Takes a checkpoint's state."""
-        self.returns, self.lengths, self.numbers = state["returns"], state["lengths"], state["numbers"]
+        self.returns, self.lengths, self.numbers = (
+            state["returns"],
+            state["lengths"],
+            state["numbers"],
+        )
         self.recent = deque((tuple(row) for row in state["recent"]), maxlen=WINDOW)
         self.total = state["total"]
 

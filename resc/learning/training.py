@@ -1,4 +1,4 @@
-"""The life of a training run: batches until the frames are flown, saved on the way and on Ctrl-C."""
+"""The life of a training run: batches until the frames are flown, saved on the way."""
 
 import signal
 import time
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
+import torch
 from tqdm import tqdm
 
 from resc.errors import RecordingError
@@ -28,7 +29,7 @@ class Interruption:
 
 @contextmanager
 def stopping_at_batch_end() -> Iterator[Interruption]:
-    """Turns the first SIGINT or SIGTERM into a request that the loop heeds after the batch in hand."""
+    """Turns the first SIGINT or SIGTERM into a request heeded after the batch in hand."""
     interruption = Interruption()
     previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
@@ -36,7 +37,9 @@ def stopping_at_batch_end() -> Iterator[Interruption]:
         interruption.requested, interruption.signal_number = True, number
         for caught, handler in previous.items():
             signal.signal(caught, handler)
-        tqdm.write("Stopping after this batch; the checkpoint will be saved. Once more to stop at once.")
+        tqdm.write(
+            "Stopping after this batch; the checkpoint will be saved. Once more to stop at once."
+        )
 
     for number in previous:
         signal.signal(number, request)
@@ -57,12 +60,17 @@ def train(
     table: ProgressTable,
     checkpoint_every_s: float,
 ) -> bool:
-    """Trains until `total_frames`; whether it got there. Errors of the recorder leave a saved checkpoint behind."""
+    """Trains until `total_frames`; whether it got there.
+
+    Errors of the recorder leave a saved checkpoint behind.
+    """
     pool = trainer.env.pool
     saved_at = time.monotonic()
     if recorder is not None:
         record_world(recorder, pool, trainer.iteration * trainer.settings.steps)
-    bar = tqdm(total=total_frames, initial=trainer.frames, unit="step", unit_scale=True, smoothing=0.05)
+    bar = tqdm(
+        total=total_frames, initial=trainer.frames, unit="step", unit_scale=True, smoothing=0.05
+    )
     with stopping_at_batch_end() as interruption, bar:
         while trainer.frames < total_frames and not interruption.requested:
             began = time.monotonic()
@@ -87,11 +95,13 @@ def train(
 
 
 def _save_in_need(trainer: Ppo, folder: Path, error: RecordingError) -> None:
-    """Saves the checkpoint although the recorder failed; the disk may have no room for that either."""
+    """Saves the checkpoint although the recorder failed; the disk may be full."""
     try:
         save_checkpoint(folder / CHECKPOINT, trainer)
     except OSError as failure:
-        error.add_note(f"The checkpoint could not be saved ({failure}); the one before stays as it is.")
+        error.add_note(
+            f"The checkpoint could not be saved ({failure}); the one before stays as it is."
+        )
 
 
 def _record(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
@@ -100,7 +110,9 @@ def _record(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
     start = trainer.statistics.start_step
     recorder.put(trainer.batch, start, with_success(trainer.statistics.episodes()))
     if trainer.renew_scenes:
-        record_world(recorder, trainer.env.pool, start + trainer.settings.steps)
+        pool = trainer.env.pool
+        renewed = (pool.head + torch.arange(-trainer.renew_scenes, 0)) % len(pool)
+        record_world(recorder, pool, start + trainer.settings.steps, renewed)
 
 
 def _reward_terms(trainer: Ppo) -> dict[str, float]:
@@ -112,5 +124,9 @@ def _reward_terms(trainer: Ppo) -> dict[str, float]:
 
 def _summary(figures: dict[str, float]) -> str:
     success, collision = figures.get("outcome/success"), figures.get("outcome/collision")
-    parts = [f"{share:.1%} {name}" for name, share in (("success", success), ("collision", collision)) if share is not None]
+    parts = [
+        f"{share:.1%} {name}"
+        for name, share in (("success", success), ("collision", collision))
+        if share is not None
+    ]
     return ", ".join(parts)

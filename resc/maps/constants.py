@@ -5,7 +5,7 @@ import math
 INFLATION_M = 0.30
 """Radius within which the vehicle counts as colliding."""
 OCCUPIED_M = 0.29
-"""A cell nearer than this to an obstacle counts as occupied: the inflation less a guard against rounding."""
+"""A cell nearer than this to an obstacle is occupied: inflation less a guard against rounding."""
 MARGIN_M = math.sqrt(2) * INFLATION_M
 """Taken off the distance field before each jump of a ray."""
 SHORTEST_STEP_M = 0.1

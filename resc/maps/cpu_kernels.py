@@ -1,10 +1,12 @@
-"""The rays of `resc.maps.ray_casting` on the CPU: one environment after the other, each ray only as far as it must go.
+"""The rays of `resc.maps.ray_casting` on the CPU, each only as far as it must go.
 
-Positions in single precision, directions in double: as near to exact arithmetic as single-precision maps allow.
-The kernels are marked `no_type_check`: numba cannot compile the wrappers of the tests' type checker.
+Positions in single precision, directions in double: as near to exact arithmetic as single-precision
+maps allow. The kernels are marked `no_type_check`: numba cannot compile the wrappers of the tests'
+type checker.
 """
 
 import functools
+import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import no_type_check
@@ -58,7 +60,10 @@ def _cast(field, x, y, ux, uy, length, ox, oy, sx, sy, per_m):
 @njit(cache=True)
 @no_type_check
 def _sweep(field, x, y, ux, uy, radius, side, guide_reach, guide_blocked, ox, oy, sx, sy, per_m):
-    """Where the edge of one side lies: x, y (facts 4.4). Directions turn by a fixed angle, in double precision."""
+    """Where the edge of one side lies: x, y (facts 4.4).
+
+    Directions turn by a fixed angle, in double precision.
+    """
     step = math.atan2(0.5 / per_m, radius)
     turn_x, turn_y = math.cos(step), side * math.sin(step)
     hit_x, hit_y = x + guide_reach * F(ux), y + guide_reach * F(uy)
@@ -68,7 +73,9 @@ def _sweep(field, x, y, ux, uy, radius, side, guide_reach, guide_blocked, ox, oy
         ux, uy = ux * turn_x - uy * turn_y, uy * turn_x + ux * turn_y
         reach, blocked = _cast(field, x, y, F(ux), F(uy), radius, ox, oy, sx, sy, per_m)
         if guide_blocked:
-            if (blocked and reach - last_reach > _GAP) or (not blocked and radius - reach < _REACHED):
+            if (blocked and reach - last_reach > _GAP) or (
+                not blocked and radius - reach < _REACHED
+            ):
                 break
         if not guide_blocked or blocked:
             hit_x, hit_y, last_reach = x + reach * F(ux), y + reach * F(uy), reach
@@ -81,7 +88,7 @@ def _sweep(field, x, y, ux, uy, radius, side, guide_reach, guide_blocked, ox, oy
 @njit(cache=True)
 @no_type_check
 def _corner(x, y, hit_x, hit_y, offset_x, offset_y, nearest, ox, oy, resolution):
-    """The corner of the cell hit at the least (or greatest) angle to the guide, relative to the vehicle."""
+    """Corner of the cell hit at the least (or greatest) angle to the guide, from the vehicle."""
     west = F(math.floor((hit_x - ox) / resolution)) * resolution + ox - x
     south = F(math.floor((hit_y - oy) / resolution)) * resolution + oy - y
     best, best_x, best_y = F(-np.inf), west, south
@@ -113,7 +120,14 @@ def _cast_batch(first, last, esdf, index, origin, size, here, heading, reach, re
 def _guided_batch(first, last, esdf, index, origin, size, here, offset, radius, result, resolution):
     per_m = F(1.0) / resolution
     for i in range(first, last):
-        x, y, ox, oy, sx, sy = here[i, 0], here[i, 1], origin[i, 0], origin[i, 1], size[i, 0], size[i, 1]
+        x, y, ox, oy, sx, sy = (
+            here[i, 0],
+            here[i, 1],
+            origin[i, 0],
+            origin[i, 1],
+            size[i, 0],
+            size[i, 1],
+        )
         if not (x - ox >= F(0.0) and y - oy >= F(0.0) and x - ox < sx and y - oy < sy):
             result[i] = F(0.0)
             continue
@@ -126,7 +140,9 @@ def _guided_batch(first, last, esdf, index, origin, size, here, offset, radius, 
             hit_x, hit_y = _sweep(
                 field, x, y, ux, uy, radius[i], side, reach, blocked, ox, oy, sx, sy, per_m
             )
-            edge = _corner(x, y, hit_x, hit_y, offset[i, 0], offset[i, 1], not blocked, ox, oy, resolution)
+            edge = _corner(
+                x, y, hit_x, hit_y, offset[i, 0], offset[i, 1], not blocked, ox, oy, resolution
+            )
             result[i, 2 * k], result[i, 2 * k + 1] = edge
 
 
@@ -145,14 +161,16 @@ def guided_batch(esdf, index, origin, size, here, offset, radius, result, resolu
 def _share_out(kernel, count, threads, *arguments):
     """Runs a kernel over rows [0, count) in `threads` threads.
 
-    Not numba's own threads: its OpenMP layer shares torch's library, changes torch's number of threads, and waits by spinning,
-    which is many times slower as soon as another process is busy.
+    Not numba's own threads: its OpenMP layer shares torch's library, changes torch's number of
+    threads, and waits by spinning, which is many times slower as soon as another process is busy.
     """
     if threads == 1 or count < 256:
         kernel(0, count, *arguments)
         return
     edges = [count * i // threads for i in range(threads + 1)]
-    futures = [_pool(threads).submit(kernel, a, b, *arguments) for a, b in zip(edges[1:-1], edges[2:], strict=True)]
+    futures = [
+        _pool(threads).submit(kernel, a, b, *arguments) for a, b in itertools.pairwise(edges[1:])
+    ]
     kernel(0, edges[1], *arguments)
     for future in futures:
         future.result()

@@ -9,7 +9,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class DistanceField:
-    """The distance field of each environment: one entry of a pool [p, h, w], cell (0, 0) at `origin_w`.
+    """Distance field of each environment: an entry of a pool [p, h, w], cell (0, 0) at `origin_w`.
 
     Args:
         esdf: The pool [m].
@@ -26,11 +26,16 @@ class DistanceField:
     resolution_m: float
 
     def at(self, x: Float[Tensor, "*k n"], y: Float[Tensor, "*k n"]) -> Float[Tensor, "*k n"]:
-        """Distance [m] stored in the cell of (x, y); outside, that of the nearest border cell. Environments last."""
+        """Distance [m] stored in the cell of (x, y); outside, that of the nearest border cell.
+
+        Environments last.
+        """
         _, height, width = self.esdf.shape
         per_m = 1.0 / self.resolution_m
         last = self.size * per_m - 0.5
-        column = ((x - self.origin_w[:, 0]) * per_m).clamp(min=0).minimum(last[:, 0]).to(torch.int32)
+        column = (
+            ((x - self.origin_w[:, 0]) * per_m).clamp(min=0).minimum(last[:, 0]).to(torch.int32)
+        )
         row = ((y - self.origin_w[:, 1]) * per_m).clamp(min=0).minimum(last[:, 1]).to(torch.int32)
         offset = self.index.to(torch.int32) * (height * width)
         return self.esdf.view(-1)[offset + row * width + column]

@@ -8,11 +8,11 @@ from torch import Tensor
 def distance_transform(
     occupied: Bool[Tensor, "p h w"], resolution_m: float, truncation_m: float | None = None
 ) -> Float[Tensor, "p h w"]:
-    """Distance [m] from each cell centre to the nearest occupied cell centre; 0 inside, at most `truncation_m`.
+    """Distance [m] from each cell centre to the nearest occupied one, at most `truncation_m`.
 
-    Separable and exact: squared integer distances along the rows by two running maxima, then the lower envelope over the
-    columns, min over k of (g(y + k)^2 + k^2). Truncation bounds |k|, so its cost is P H W min(H, truncation). An empty map
-    holds the truncation, or infinity without one.
+    Separable and exact: squared integer distances along the rows by two running maxima, then the
+    lower envelope over the columns, min over k of (g(y + k)^2 + k^2). Truncation bounds |k|, so its
+    cost is P H W min(H, truncation). An empty map holds the truncation, or infinity without one.
     """
     _, height, width = occupied.shape
     reach = height if truncation_m is None else min(height, int(truncation_m / resolution_m) + 1)

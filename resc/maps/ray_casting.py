@@ -1,8 +1,9 @@
 """Sphere-traced rays and the guided sector sweep on distance fields: a whole batch at once.
 
-Two renderings of one algorithm. On an accelerator, torch operations march every ray of the batch together. On the CPU a ray
-that is done costs nothing only if it is marched alone, so a numba kernel does that (`resc.maps.cpu_kernels`), opaque to the
-compiler as the operators `resc::cast` and `resc::guided`. Both are tested against the same scalar version.
+Two renderings of one algorithm. On an accelerator, torch operations march every ray of the batch
+together. On the CPU a ray that is done costs nothing only if it is marched alone, so a numba kernel
+does that (`resc.maps.cpu_kernels`), opaque to the compiler as the operators `resc::cast` and
+`resc::guided`. Both are tested against the same scalar version.
 """
 
 import math
@@ -31,7 +32,14 @@ def free_distance(
     reach = torch.full_like(heading, range_m)
     if here.is_cpu:
         return torch.ops.resc.cast(
-            field.esdf, field.index, field.origin_w, field.size, here, heading, reach, field.resolution_m
+            field.esdf,
+            field.index,
+            field.origin_w,
+            field.size,
+            here,
+            heading,
+            reach,
+            field.resolution_m,
         )
     return cast(field, here, heading.cos(), heading.sin(), reach, range_m)[0]
 
@@ -43,46 +51,72 @@ def guided(
     radius: Float[Tensor, " n"],
     longest_m: float,
 ) -> Float[Tensor, "n 4"]:
-    """Edges relative to the vehicle [m]: x, y counter-clockwise, then x, y clockwise of the guide (facts 4.4).
+    """Edges from the vehicle [m]: x, y counter-clockwise, then clockwise of the guide (facts 4.4).
 
-    The sweep covers 60 degrees to each side of the guide ray toward `offset`, up to `radius`. Guide ray free: the nearest
-    blocked ray of each side bounds the corridor. Guide ray blocked: where the blocking obstacle ends. Each edge is a corner of
-    the cell hit, the one with the least (free) or greatest (blocked) angle to the guide. Off the map all are zero.
+    The sweep covers 60 degrees to each side of the guide ray toward `offset`, up to `radius`. Guide
+    ray free: the nearest blocked ray of each side bounds the corridor. Guide ray blocked: where the
+    blocking obstacle ends. Each edge is a corner of the cell hit, the one with the least (free) or
+    greatest (blocked) angle to the guide. Off the map all are zero.
     """
     if here.is_cpu:
         return torch.ops.resc.guided(
-            field.esdf, field.index, field.origin_w, field.size, here, offset, radius, field.resolution_m
+            field.esdf,
+            field.index,
+            field.origin_w,
+            field.size,
+            here,
+            offset,
+            radius,
+            field.resolution_m,
         )
     return guided_in_torch(field, here, offset, radius, longest_m)
 
 
 @torch.library.custom_op("resc::cast", mutates_args=(), device_types="cpu")
 def _cast_on_cpu(
-    esdf: Tensor, index: Tensor, origin: Tensor, size: Tensor, here: Tensor, heading: Tensor, reach: Tensor, resolution: float
+    esdf: Tensor,
+    index: Tensor,
+    origin: Tensor,
+    size: Tensor,
+    here: Tensor,
+    heading: Tensor,
+    reach: Tensor,
+    resolution: float,
 ) -> Tensor:
     result = torch.empty_like(reach)
-    arrays = [t.contiguous().numpy() for t in (esdf, index, origin, size, here, heading, reach, result)]
+    arrays = [
+        t.contiguous().numpy() for t in (esdf, index, origin, size, here, heading, reach, result)
+    ]
     cpu_kernels.cast_batch(*arrays, resolution, torch.get_num_threads())
     return result
 
 
 @_cast_on_cpu.register_fake
-def _(esdf, index, origin, size, here, heading, reach, resolution):  # noqa: ANN001, ANN202 - shapes for the compiler
+def _(esdf, index, origin, size, here, heading, reach, resolution):  # noqa: ANN001, ANN202
     return torch.empty_like(reach)
 
 
 @torch.library.custom_op("resc::guided", mutates_args=(), device_types="cpu")
 def _guided_on_cpu(
-    esdf: Tensor, index: Tensor, origin: Tensor, size: Tensor, here: Tensor, offset: Tensor, radius: Tensor, resolution: float
+    esdf: Tensor,
+    index: Tensor,
+    origin: Tensor,
+    size: Tensor,
+    here: Tensor,
+    offset: Tensor,
+    radius: Tensor,
+    resolution: float,
 ) -> Tensor:
     result = here.new_empty(here.shape[0], 4)
-    arrays = [t.contiguous().numpy() for t in (esdf, index, origin, size, here, offset, radius, result)]
+    arrays = [
+        t.contiguous().numpy() for t in (esdf, index, origin, size, here, offset, radius, result)
+    ]
     cpu_kernels.guided_batch(*arrays, resolution, torch.get_num_threads())
     return result
 
 
 @_guided_on_cpu.register_fake
-def _(esdf, index, origin, size, here, offset, radius, resolution):  # noqa: ANN001, ANN202 - shapes for the compiler
+def _(esdf, index, origin, size, here, offset, radius, resolution):  # noqa: ANN001, ANN202
     return here.new_empty(here.shape[0], 4)
 
 
@@ -94,10 +128,13 @@ def cast(
     length: Float[Tensor, "*k n"],
     longest_m: float,
 ) -> tuple[Float[Tensor, "*k n"], Bool[Tensor, "*k n"]]:
-    """How far rays get [m], and whether the cell they end in is occupied (facts 4.3). Environments last.
+    """How far rays get [m], and whether the cell they end in is occupied (facts 4.3).
 
-    Each jump is the stored distance less `MARGIN_M`, at least `SHORTEST_STEP_M`. A ray ends in the first occupied cell, before
-    the jump that leaves the map, or at its length; the last jump may overshoot the length, and the start cell is not tested.
+    Environments last.
+
+    Each jump is the stored distance less `MARGIN_M`, at least `SHORTEST_STEP_M`. A ray ends in the
+    first occupied cell, before the jump that leaves the map, or at its length; the last jump may
+    overshoot the length, and the start cell is not tested.
 
     Args:
         field: The map of each environment.
@@ -157,8 +194,8 @@ def _ending_ray(
 ) -> Int[Tensor, "2 n"]:
     """Which ray of each side the edge lies on; ray 0 is the guide itself.
 
-    Guide free: the first blocked ray, else the last. Guide blocked: the last blocked ray before the first gap (a jump of more
-    than `GAP_M`) or free ray.
+    Guide free: the first blocked ray, else the last. Guide blocked: the last blocked ray before the
+    first gap (a jump of more than `GAP_M`) or free ray.
     """
     guide_blocked = blocked[0]
     last = torch.zeros_like(reached[0], dtype=torch.int64)
@@ -184,7 +221,7 @@ def _corner(
     y: Float[Tensor, "2 n"],
     nearest: Bool[Tensor, " n"],
 ) -> tuple[Float[Tensor, "2 n"], Float[Tensor, "2 n"]]:
-    """The corner of the cell of (x, y) at the least (or greatest) angle to the guide, relative to the vehicle [m]."""
+    """Corner of (x, y)'s cell at the least (or greatest) angle to the guide, from the vehicle [m]."""
     resolution, origin = field.resolution_m, field.origin_w
     west = ((x - origin[:, 0]) / resolution).floor() * resolution + origin[:, 0] - here[:, 0]
     south = ((y - origin[:, 1]) / resolution).floor() * resolution + origin[:, 1] - here[:, 1]
@@ -195,8 +232,13 @@ def _corner(
         for north in (0.0, resolution):
             corner_x, corner_y = west + east, south + north
             reach = (corner_x.square() + corner_y.square()).sqrt().clamp(min=1e-9)
-            score = sign * (corner_x * ux + corner_y * uy) / reach  # the cosine falls as the angle grows
+            score = (
+                sign * (corner_x * ux + corner_y * uy) / reach
+            )  # the cosine falls as the angle grows
             better = score > best
-            best_x, best_y = torch.where(better, corner_x, best_x), torch.where(better, corner_y, best_y)
+            best_x, best_y = (
+                torch.where(better, corner_x, best_x),
+                torch.where(better, corner_y, best_y),
+            )
             best = torch.where(better, score, best)
     return best_x, best_y

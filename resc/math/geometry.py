@@ -18,8 +18,10 @@ def distance(a: Float[Tensor, "*n d"], b: Float[Tensor, "*n d"]) -> Float[Tensor
     return norm(a - b)
 
 
-def box_distance(points: Float[Tensor, "n 2"], boxes: Float[Tensor, "n k 4"]) -> Float[Tensor, "n k"]:
-    """Signed distance [m] from a point to each axis-aligned box `[x, y, len_x, len_y]`: negative inside.
+def box_distance(
+    points: Float[Tensor, "n 2"], boxes: Float[Tensor, "n k 4"]
+) -> Float[Tensor, "n k"]:
+    """Signed distance [m] from a point to each box `[x, y, len_x, len_y]`: negative inside.
 
     |max(q, 0)| + min(max(q_x, q_y), 0), with q = |p - centre| - half the lengths.
     """

@@ -18,5 +18,6 @@ def rk4(derivative: Callable[[State], State], state: State, step_s: float) -> St
     k3 = derivative(along(k2, 0.5))
     k4 = derivative(along(k3, 1.0))
     return tuple(
-        x + step_s / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
+        x + step_s / 6 * (a + 2 * b + 2 * c + d)
+        for x, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
     )

@@ -44,7 +44,9 @@ def rotate(attitude: Float[Tensor, "n 4"], vector_b: Float[Tensor, "n 3"]) -> Fl
     return vector_b + w * t + torch.linalg.cross(u, t)
 
 
-def rotate_inverse(attitude: Float[Tensor, "n 4"], vector_w: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+def rotate_inverse(
+    attitude: Float[Tensor, "n 4"], vector_w: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 3"]:
     """A world-frame vector in the body frame."""
     w, u = attitude[..., :1], attitude[..., 1:]
     t = 2 * torch.linalg.cross(u, vector_w)
@@ -76,10 +78,18 @@ def quaternion_from_euler(euler: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
     )
 
 
-def derivative(attitude: Float[Tensor, "n 4"], body_rate_b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
+def derivative(
+    attitude: Float[Tensor, "n 4"], body_rate_b: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 4"]:
     """The time derivative q * (0, omega) / 2 [1/s]."""
     w, x, y, z = attitude.unbind(-1)
     p, q, r = body_rate_b.unbind(-1)
     return 0.5 * torch.stack(
-        (-x * p - y * q - z * r, w * p + y * r - z * q, w * q - x * r + z * p, w * r + x * q - y * p), -1
+        (
+            -x * p - y * q - z * r,
+            w * p + y * r - z * q,
+            w * q - x * r + z * p,
+            w * r + x * q - y * p,
+        ),
+        -1,
     )

@@ -1,4 +1,4 @@
-"""Random generators that depend on a seed and a name, so that removing one part does not reshuffle another."""
+"""Random generators by seed and name: removing one part does not reshuffle another."""
 
 import hashlib
 

@@ -31,7 +31,7 @@ REWARD_TERMS = ("reward_terms",)
 
 
 def rollout_columns(stages: Stages) -> tuple[Column, ...]:
-    """State and action before each step, the reward it earned, whole and by term (weighted), and how it ended."""
+    """State and action before each step, its reward, whole and by weighted term, and its end."""
     names = tuple(term.name for term in stages.terms.rewards)
     reward = Column(keys.REWARD, (), torch.float32)
     return (*STATE_COLUMNS, reward, Column(REWARD_TERMS, names, torch.float32), *FLAGS)
@@ -40,7 +40,7 @@ def rollout_columns(stages: Stages) -> tuple[Column, ...]:
 def open_recorder(
     config: DictConfig, stages: Stages, *, directory: Path, outcomes: tuple[str, ...], num_envs: int
 ) -> RolloutRecorder | None:
-    """The recorder of a run, its metadata and configuration already attached; None where recorder=none."""
+    """A run's recorder with metadata and configuration attached; None where recorder=none."""
     if not config.get("recorder"):
         return None
     metadata = {**provenance(), "seed": str(config["seed"]), "device": str(config["device"])}
@@ -57,10 +57,19 @@ def open_recorder(
     )
 
 
-def record_world(recorder: RolloutRecorder, pool: ScenePool, start_step: int) -> None:
-    """Writes the pool's obstacles, starts and routes, so that a reader needs no simulator."""
+def record_world(
+    recorder: RolloutRecorder, pool: ScenePool, start_step: int, entries: torch.Tensor | None = None
+) -> None:
+    """Writes obstacles, starts and routes of the pool, so that a reader needs no simulator.
+
+    `entries` [k] limits it to the scenes just renewed; they are named in the array `entry`.
+    """
+    if entries is None:
+        entries = torch.arange(len(pool))
     scenes: Mapping[keys.NestedKey, torch.Tensor] = {**pool.shared, **pool.tasks}
-    recorder.put_world({key[-1]: value for key, value in scenes.items() if key != keys.ESDF}, start_step)
+    rows = entries.to(pool.shared[keys.BOXES_W].device)
+    arrays = {key[-1]: value[rows] for key, value in scenes.items() if key != keys.ESDF}
+    recorder.put_world({"entry": entries, **arrays}, start_step)
 
 
 def with_success(episodes: TensorDict | None) -> TensorDict | None:

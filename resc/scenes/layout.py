@@ -13,9 +13,12 @@ PARKED_M = 1e6
 
 @dataclass(frozen=True)
 class Layout:
-    """A batch of scenes: boxes are columns over the whole height, `[x, y, len_x, len_y]` from the lower-left corner [m].
+    """A batch of scenes.
 
-    `route_length` 0 means that only the goal is known (`route_w[:, 0]`) and a planner has to fill in the route.
+    Boxes are columns over the whole height, `[x, y, len_x, len_y]` from the lower-left corner [m].
+
+    `route_length` 0 means that only the goal is known (`route_w[:, 0]`) and a planner has to fill
+    in the route.
     """
 
     boxes_w: Float[Tensor, "p k 4"]
@@ -39,9 +42,15 @@ class Scene(Protocol):
 
 
 def rasterize(
-    boxes: Float[Tensor, "p k 4"], origin: Float[Tensor, "p 2"], shape: tuple[int, int], resolution_m: float
+    boxes: Float[Tensor, "p k 4"],
+    origin: Float[Tensor, "p 2"],
+    shape: tuple[int, int],
+    resolution_m: float,
 ) -> Bool[Tensor, "p h w"]:
-    """Cells [height, width] that a box overlaps; row 0 is the lowest y. A box thinner than a cell still fills one."""
+    """Cells [height, width] that a box overlaps; row 0 is the lowest y.
+
+    A box thinner than a cell still fills one.
+    """
     slack = 1e-4  # cells; keeps a box that ends on a cell border out of the next cell
     low = ((boxes[..., :2] - origin.unsqueeze(1)) / resolution_m + slack).floor()
     high = ((boxes[..., :2] + boxes[..., 2:] - origin.unsqueeze(1)) / resolution_m - slack).floor()
@@ -59,11 +68,13 @@ def concatenate(layouts: list[Layout]) -> Layout:
     boxes = max(layout.boxes_w.shape[1] for layout in layouts)
     points = max(layout.route_w.shape[1] for layout in layouts)
     padded = [pad(layout, boxes, points) for layout in layouts]
-    return Layout(**{f.name: torch.cat([getattr(p, f.name) for p in padded]) for f in fields(Layout)})
+    return Layout(
+        **{f.name: torch.cat([getattr(p, f.name) for p in padded]) for f in fields(Layout)}
+    )
 
 
 def pad(layout: Layout, boxes: int, points: int) -> Layout:
-    """The same scenes with room for `boxes` boxes and `points` control points, the last one repeated."""
+    """The same scenes with room for `boxes` and `points`, the last point repeated."""
     count = len(layout)
     parked = layout.boxes_w.new_tensor([PARKED_M, PARKED_M, 0.0, 0.0])
     extra_boxes = parked.expand(count, boxes - layout.boxes_w.shape[1], 4)

@@ -34,6 +34,10 @@ class NamedScene:
         for number, box in enumerate(boxes):
             if len(box) != 4 or min(box[2:]) <= 0:
                 raise ConfigError(f"boxes[{number}] is {list(box)}; expected [x, y, len_x, len_y] with lengths above zero.")
+        lists = {"start_m": (start_m, 3), "goal_m": (goal_m, 3), "origin_m": (origin_m, 2), "size_m": (size_m, 2)}
+        for name, (numbers, count) in lists.items():
+            if len(numbers) != count:
+                raise ConfigError(f"{name} is {list(numbers)}; expected {count} numbers.")
         for name, point in (("start_m", start_m), ("goal_m", goal_m)):
             inside = all(o <= c < o + s for c, o, s in zip(point, origin_m, size_m, strict=False))
             if not inside:

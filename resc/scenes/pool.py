@@ -1,6 +1,7 @@
 """The pool of scenes that environments are reset into."""
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import torch
 from jaxtyping import Float, Int
@@ -10,7 +11,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
 from resc.maps.distance_transform import distance_transform
-from resc.scenes.layout import Layout, Scene, rasterize
+from resc.scenes.layout import Layout, Scene, pad, rasterize
 
 TRUNCATION_M = 3.0
 """The published distance field ends here (facts 4.2)."""
@@ -54,14 +55,14 @@ class ScenePool:
         esdf = self._transform(self.layout)
         self.shared: dict[NestedKey, Tensor] = {
             keys.ESDF: esdf.to(device),
-            keys.MAP_ORIGIN_W: self.layout.origin_w.to(device),
-            keys.MAP_SIZE: self.layout.size.to(device),
-            keys.BOXES_W: self.layout.boxes_w.to(device),
+            keys.MAP_ORIGIN_W: self.layout.origin_w.clone().to(device),  # clone: a scene may share one row among all
+            keys.MAP_SIZE: self.layout.size.clone().to(device),
+            keys.BOXES_W: self.layout.boxes_w.clone().to(device),
         }
         self.tasks: dict[NestedKey, Tensor] = {
-            keys.START_W: self.layout.start_w.to(device),
-            keys.ROUTE_W: self.layout.route_w.to(device),
-            keys.ROUTE_LENGTH: self.layout.route_length.to(device),
+            keys.START_W: self.layout.start_w.clone().to(device),
+            keys.ROUTE_W: self.layout.route_w.clone().to(device),
+            keys.ROUTE_LENGTH: self.layout.route_length.clone().to(device),
         }
 
     def __len__(self) -> int:
@@ -70,22 +71,31 @@ class ScenePool:
     def entry(self, unit: Float[Tensor, " k"], closed: int = 0) -> Int[Tensor, " k"]:
         """Maps uniform numbers to open entries: all but the `closed` next in turn for renewal."""
         open_entries = len(self) - closed
+        if open_entries < 1:
+            raise ConfigError(f"closed is {closed} of {len(self)} scenes; expected fewer, so that episodes can begin.")
         offset = (unit * open_entries).long().clamp(max=open_entries - 1)
         return (self.head + closed + offset) % len(self)
 
     def renew(self, count: int) -> Int[Tensor, " k"]:
-        """Lays the next `count` scenes out anew; returns their entries."""
-        entries = (self.head + torch.arange(count)) % len(self)
-        self._write(entries, self._lay_out(count))
+        """Lays the next `count` scenes out anew; returns their entries.
+
+        A planned route longer than every first one finds no room; its scene is kept as it was.
+        """
+        layout, entries = self._lay_out(count), (self.head + torch.arange(count)) % len(self)
         self.head = (self.head + count) % len(self)
-        return entries
+        room = self.tasks[keys.ROUTE_W].shape[1]
+        fits = layout.route_length[:, 0] <= room
+        rows = {f.name: getattr(layout, f.name)[fits] for f in fields(Layout)}
+        rows["route_w"] = rows["route_w"][:, :room]
+        self._write(entries[fits], pad(Layout(**rows), self.shared[keys.BOXES_W].shape[1], room))
+        return entries[fits]
 
     def state(self) -> dict[str, Tensor | int]:
         """What a checkpoint needs to rebuild the pool; the distance fields are computed again."""
         names = ("boxes_w", "origin_w", "size", "start_w", "route_w", "route_length")
         shared = {**self.shared, **self.tasks}
         by_name = {key[1]: value for key, value in shared.items()}
-        layout = {name: by_name[name].cpu() for name in names}
+        layout = {name: by_name[name].cpu().clone() for name in names}
         return {**layout, "head": self.head, "generator": self.generator.get_state()}
 
     def load_state(self, state: dict[str, Tensor | int]) -> None:

@@ -39,6 +39,9 @@ class RandomBoxes:
     ) -> None:
         if boxes < 1:
             raise ConfigError(f"boxes is {boxes}; expected at least 1.")
+        for name, point in (("start_m", start_m), ("goal_m", goal_m)):
+            if not all(-side / 2 <= c < side / 2 for c, side in zip(point, size_m, strict=False)):
+                raise ConfigError(f"{name} is {list(point)}, outside the map of {list(size_m)} m about the origin; move it inside.")
         self.boxes = boxes
         self.side_m = side_m
         self.size_m = torch.tensor(list(size_m), dtype=torch.float32)

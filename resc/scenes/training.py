@@ -17,11 +17,12 @@ SAMPLES_PER_LEG = 26
 
 
 class TrainingScene:
-    """Start at the map's centre, control points ahead, obstacles on or near the lines between them (facts 6.1).
+    """Start at the map's centre, control points ahead, obstacles near the lines (facts 6.1).
 
-    Every next control point lies within `spacing_m` and `turn_rad` of the leg before. A guarded path leads to every control
-    point, bulging sideways by up to `detour_m` on each leg; boxes are proposed on and near the straight lines and kept where
-    they leave `guard_m` to the guarded path, so a feasible path always exists while the straight line may be blocked.
+    Every next control point lies within `spacing_m` and `turn_rad` of the leg before. A guarded
+    path leads to every control point, bulging sideways by up to `detour_m` on each leg; boxes are
+    proposed on and near the straight lines and kept where they leave `guard_m` to the guarded path,
+    so a feasible path always exists while the straight line may be blocked.
 
     Args:
         size_m: Edge of the square map, its lower-left corner at the origin.
@@ -31,6 +32,7 @@ class TrainingScene:
         height_m: Flight height.
         height_spread_m: Start and control points differ by up to this from it.
         boxes: Greatest number of boxes; 0 lays out free scenes.
+        proposals: Boxes proposed; those too near the guarded path are left out.
         side_m: Least and greatest edge of a box.
         walls: Share of boxes that are walls, `wall_m` long.
         wall_m: Least and greatest length of a wall.
@@ -49,7 +51,8 @@ class TrainingScene:
         turn_rad: float = 2 * math.pi / 3,
         height_m: float = 1.0,
         height_spread_m: float = 0.1,
-        boxes: int = 12,
+        boxes: int = 16,
+        proposals: int = 120,
         side_m: Sequence[float] = (0.2, 0.8),
         walls: float = 0.3,
         wall_m: Sequence[float] = (1.0, 4.0),
@@ -58,8 +61,8 @@ class TrainingScene:
         guard_m: float = 0.45,
         start_guard_m: float = 0.6,
     ) -> None:
-        if points < 1 or boxes < 0:
-            raise ConfigError(f"points is {points} and boxes {boxes}; expected at least 1 and 0.")
+        if points < 1 or not 0 <= boxes <= proposals:
+            raise ConfigError(f"points is {points}, boxes {boxes}, proposals {proposals}; expected 1 <= points, 0 <= boxes <= proposals.")
         if 2 * points * spacing_m[1] > size_m - 2:
             raise ConfigError(
                 f"size_m is {size_m}; {points} control points up to {spacing_m[1]} m apart need "
@@ -72,6 +75,7 @@ class TrainingScene:
         self.height_m = height_m
         self.height_spread_m = height_spread_m
         self.boxes = boxes
+        self.proposals = proposals
         self.side_m = side_m
         self.walls = walls
         self.wall_m = wall_m
@@ -83,18 +87,28 @@ class TrainingScene:
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """Lays out `count` scenes; a box too near the guarded path is left out."""
         path = self._route(count, generator)
-        boxes = self._propose(path[..., :2], generator)
-        guard = self._guarded_path(path[..., :2], generator)
-        near_path = torch.stack([box_distance(guard[:, i], boxes) for i in range(guard.shape[1])]).amin(0)
-        near_start = box_distance(path[:, 0, :2], boxes)
-        wanted = (uniform((count, 1), 0, self.boxes + 1, generator)).floor()
-        number = torch.arange(self.boxes)
-        kept = (near_path >= self.guard_m) & (near_start >= self.start_guard_m) & (number < wanted)
+        return self._layout(path, self._boxes(path[..., :2], generator))
+
+    def _boxes(self, path: Float[Tensor, "p r 2"], generator: torch.Generator) -> Float[Tensor, "p k 4"]:
+        """The first boxes [m] among the proposed ones that leave the guarded path free, the rest parked."""
         parked = torch.tensor([PARKED_M, PARKED_M, 0.0, 0.0])
         if self.boxes == 0:
-            boxes, kept = parked.expand(count, 1, 4), torch.zeros(count, 1, dtype=torch.bool)
+            return parked.expand(path.shape[0], 1, 4)
+        boxes = self._propose(path, generator)
+        guard = self._guarded_path(path, generator)
+        near_path = torch.stack([box_distance(point, boxes) for point in guard.unbind(1)]).amin(0)
+        near_start = box_distance(path[:, 0], boxes)
+        considered = uniform((path.shape[0], 1), 0, self.proposals + 1, generator).floor()
+        kept = (near_path >= self.guard_m) & (near_start >= self.start_guard_m)
+        kept &= torch.arange(self.proposals) < considered
+        first = kept.to(torch.uint8).argsort(dim=1, descending=True, stable=True)[:, : self.boxes]
+        boxes = torch.where(kept.unsqueeze(-1), boxes, parked)
+        return boxes.gather(1, first.unsqueeze(-1).expand(-1, -1, 4))
+
+    def _layout(self, path: Float[Tensor, "p r 3"], boxes: Float[Tensor, "p k 4"]) -> Layout:
+        count = path.shape[0]
         return Layout(
-            boxes_w=torch.where(kept.unsqueeze(-1), boxes, parked),
+            boxes_w=boxes,
             origin_w=torch.zeros(count, 2),
             size=torch.full((count, 2), self.size_m),
             start_w=path[:, 0],
@@ -115,21 +129,28 @@ class TrainingScene:
         height = self.height_m + uniform((count, self.points + 1, 1), -spread, spread, generator)
         return torch.cat((flat, height), -1)
 
-    def _guarded_path(self, path: Float[Tensor, "p r 2"], generator: torch.Generator) -> Float[Tensor, "p s 2"]:
+    def _guarded_path(
+        self, path: Float[Tensor, "p r 2"], generator: torch.Generator
+    ) -> Float[Tensor, "p s 2"]:
         """Points [m] along a path that bulges sideways between the control points."""
         start, end = path[:, :-1], path[:, 1:]
         along = end - start
         across = torch.stack((-along[..., 1], along[..., 0]), -1)
         across = across / torch.linalg.vector_norm(across, dim=-1, keepdim=True)
         bulge = uniform((*along.shape[:2], 1), -1, 1, generator) * self.detour_m
-        bulge = torch.minimum(bulge.abs(), torch.linalg.vector_norm(along, dim=-1, keepdim=True) / 2) * bulge.sign()
+        bulge = (
+            torch.minimum(bulge.abs(), torch.linalg.vector_norm(along, dim=-1, keepdim=True) / 2)
+            * bulge.sign()
+        )
         share = torch.linspace(0, 1, SAMPLES_PER_LEG)[:, None, None, None]
         points = start + share * along + (share * math.pi).sin() * bulge * across
         return points.permute(1, 0, 2, 3).flatten(1, 2)
 
-    def _propose(self, path: Float[Tensor, "p r 2"], generator: torch.Generator) -> Float[Tensor, "p k 4"]:
-        """Boxes [m] centred on or near the lines of the path, drawn like the published random boxes."""
-        count, legs, shape = path.shape[0], path.shape[1] - 1, (path.shape[0], self.boxes)
+    def _propose(
+        self, path: Float[Tensor, "p r 2"], generator: torch.Generator
+    ) -> Float[Tensor, "p k 4"]:
+        """Boxes [m] on or near the lines of the path, drawn like the published random boxes."""
+        count, legs, shape = path.shape[0], path.shape[1] - 1, (path.shape[0], self.proposals)
         leg = uniform(shape, 0, legs, generator).long().unsqueeze(-1).expand(-1, -1, 2)
         start, end = path[:, :-1].gather(1, leg), path[:, 1:].gather(1, leg)
         on_line = start + uniform((*shape, 1), 0, 1.2, generator) * (end - start)
@@ -139,8 +160,10 @@ class TrainingScene:
         sides = uniform((*shape, 2), *self.side_m, generator)
         length = uniform(shape, *self.wall_m, generator)
         kind = uniform(shape, 0, 1, generator)
-        across = torch.stack((torch.where(kind < self.walls / 2, length, sides[..., 0]), sides[..., 1]), -1)
+        across = torch.stack(
+            (torch.where(kind < self.walls / 2, length, sides[..., 0]), sides[..., 1]), -1
+        )
         upright = torch.stack((sides[..., 0], length), -1)
         is_upright = (kind >= self.walls / 2) & (kind < self.walls)
         lengths = torch.where(is_upright.unsqueeze(-1), upright, across)
-        return torch.cat((centre - lengths / 2, lengths), -1).reshape(count, self.boxes, 4)
+        return torch.cat((centre - lengths / 2, lengths), -1).reshape(count, self.proposals, 4)

@@ -18,8 +18,9 @@ class RigidBody(Term):
     """State after one control step [SI], the rotor commands held.
 
     p'' = -g e3 + (sum f_i) b_z / m - k v ;  J w' = -w x J w + tau(f) ;  f' = (f_command - f) / T.
-    No gyroscopic rotor torque, ground effect or wind. The published set-up has T = 0 and k = 0 and two substeps of 10 ms
-    (facts 2.1, 2.5). Rotor lag is solved exactly between the RK4 stages, since T may be shorter than a substep.
+    No gyroscopic rotor torque, ground effect or wind. The published set-up has T = 0 and k = 0 and
+    two substeps of 10 ms (facts 2.1, 2.5). Rotor lag is solved exactly between the RK4 stages,
+    since T may be shorter than a substep.
 
     Args:
         substeps: RK4 steps per control step.
@@ -49,12 +50,16 @@ class RigidBody(Term):
         keys.ACCELERATION_W,
     )
 
-    def __init__(self, *, substeps: int = 2, rotor_time_constant_s: float = 0.0, drag_1ps: float = 0.0) -> None:
+    def __init__(
+        self, *, substeps: int = 2, rotor_time_constant_s: float = 0.0, drag_1ps: float = 0.0
+    ) -> None:
         super().__init__()
         if substeps < 1:
             raise ConfigError(f"substeps is {substeps}; expected at least 1.")
         if min(rotor_time_constant_s, drag_1ps) < 0:
-            raise ConfigError("rotor_time_constant_s and drag_1ps cannot be negative; zero switches them off.")
+            raise ConfigError(
+                "rotor_time_constant_s and drag_1ps cannot be negative; zero switches them off."
+            )
         self.substeps = substeps
         self.rotor_time_constant_s = rotor_time_constant_s
         self.drag_1ps = drag_1ps
@@ -88,16 +93,25 @@ class RigidBody(Term):
 
             def derivative(state: State, a: Tensor = acceleration_b, tau: Tensor = torque) -> State:
                 _, v, q, w = state
-                gravity = torch.stack((torch.zeros_like(v[:, 0]), torch.zeros_like(v[:, 0]), v[:, 2] * 0 + GRAVITY_MPS2), -1)
+                gravity = torch.stack(
+                    (
+                        torch.zeros_like(v[:, 0]),
+                        torch.zeros_like(v[:, 0]),
+                        v[:, 2] * 0 + GRAVITY_MPS2,
+                    ),
+                    -1,
+                )
                 linear = a * rotation.body_z_w(q) - gravity - self.drag_1ps * v
                 return v, linear, rotation.derivative(q, w), angular_acceleration(w, tau, inertia)
 
-            position, velocity, attitude, body_rate = rk4(derivative, (position, velocity, attitude, body_rate), step_s)
+            position, velocity, attitude, body_rate = rk4(
+                derivative, (position, velocity, attitude, body_rate), step_s
+            )
             attitude = rotation.normalize(attitude)
         return position, velocity, attitude, body_rate, thrust, (velocity - start) / self.dt_s
 
     def _rotors(self, thrust: Tensor, target: Tensor, step_s: float) -> tuple[Tensor, Tensor]:
-        """Mean thrust over a substep and thrust at its end [N]: the exact solution of the first-order lag."""
+        """Mean thrust over a substep and thrust at its end [N]: first-order lag, exact."""
         constant = self.rotor_time_constant_s
         if constant == 0:
             return target, target
@@ -107,7 +121,9 @@ class RigidBody(Term):
 
 
 def body_torque(
-    thrust: Float[Tensor, "n 4"], arm: Float[Tensor, "n 3"], torque_coefficient: Float[Tensor, "n 1"]
+    thrust: Float[Tensor, "n 4"],
+    arm: Float[Tensor, "n 3"],
+    torque_coefficient: Float[Tensor, "n 1"],
 ) -> Float[Tensor, "n 3"]:
     """Torque [N m] of the rotors FR, RR, RL, FL about the body axes (facts 2.1)."""
     fr, rr, rl, fl = thrust.unbind(-1)
@@ -121,7 +137,7 @@ def body_torque(
 def angular_acceleration(
     body_rate: Float[Tensor, "n 3"], torque: Float[Tensor, "n 3"], inertia: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n 3"]:
-    """Euler's equations for a diagonal inertia [rad/s^2]: (tau + (J_y - J_z) q r) / J_x and cyclic."""
+    """Euler's equations [rad/s^2], diagonal inertia: (tau + (J_y - J_z) q r) / J_x, cyclic."""
     p, q, r = body_rate.unbind(-1)
     jx, jy, jz = inertia.unbind(-1)
     gyro = torch.stack(((jy - jz) * q * r, (jz - jx) * r * p, (jx - jy) * p * q), -1)

@@ -37,11 +37,20 @@ class Vehicle:
         torque_coefficient_m: float,
         thrust_polynomial_n: Sequence[float],
     ) -> None:
-        lists = {"inertia_kgm2": (inertia_kgm2, 3), "arm_y_m": (arm_y_m, 2), "thrust_polynomial_n": (thrust_polynomial_n, 3)}
+        lists = {
+            "inertia_kgm2": (inertia_kgm2, 3),
+            "arm_y_m": (arm_y_m, 2),
+            "thrust_polynomial_n": (thrust_polynomial_n, 3),
+        }
         for name, (numbers, count) in lists.items():
             if len(numbers) != count:
                 raise ConfigError(f"{name} is {list(numbers)}; expected {count} numbers.")
-        positive = {"mass_kg": [mass_kg], "inertia_kgm2": inertia_kgm2, "arm_x_m": [arm_x_m], "arm_y_m": arm_y_m}
+        positive = {
+            "mass_kg": [mass_kg],
+            "inertia_kgm2": inertia_kgm2,
+            "arm_x_m": [arm_x_m],
+            "arm_y_m": arm_y_m,
+        }
         for name, values in positive.items():
             if min(values) <= 0:
                 raise ConfigError(f"{name} is {min(values)}; expected a number above zero.")
@@ -73,4 +82,6 @@ class Vehicle:
         c0, c1, c2 = self.thrust_polynomial_n
         if c2 == 0:
             return ((thrust - c0) / c1).clamp(0, 1)
-        return (((c1 * c1 - 4 * c2 * (c0 - thrust)).clamp(min=0).sqrt() - c1) / (2 * c2)).clamp(0, 1)
+        return (((c1 * c1 - 4 * c2 * (c0 - thrust)).clamp(min=0).sqrt() - c1) / (2 * c2)).clamp(
+            0, 1
+        )

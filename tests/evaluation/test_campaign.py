@@ -18,7 +18,7 @@ SCENES = {
         "_target_": "resc.scenes.named.NamedScene",
         "boxes": [WALL],
         "start_m": [1.0, 2.2, 1.0],
-        "goal_m": [3.2, 2.2, 1.0],
+        "goal_m": [3.0, 2.2, 1.0],
         "origin_m": [0.0, 0.0],
         "size_m": [6.0, 4.0],
         "jitter_m": 0.05,
@@ -26,6 +26,7 @@ SCENES = {
     "laid_out": {
         "_target_": "resc.scenes.training.TrainingScene",
         "boxes": 3,
+        "points": 1,
         "spacing_m": [0.5, 0.8],
     },
 }
@@ -76,7 +77,7 @@ def test_both_sets_of_rules_are_recorded(run):
     assert len(RolloutLog(folder / "rollouts").episodes) == 2
     log = RolloutLog(folder / "rollouts_own_routes")
     assert len(log.episodes) == 2
-    assert "boxes_w" in log.world(0)
+    assert "boxes_w" in log.world
 
 
 def test_run_stores_its_configuration_and_is_the_latest(run):

@@ -4,6 +4,7 @@ import pickle
 
 import pytest
 import torch
+from test_ppo import SMALL
 
 from resc.errors import CheckpointError, ConfigError
 from resc.learning.assemble import build_trainer
@@ -15,7 +16,6 @@ from resc.learning.checkpoint import (
     save_checkpoint,
     save_policy,
 )
-from test_ppo import SMALL
 
 
 class Hostile:
@@ -47,7 +47,9 @@ def folder(trainer, config, tmp_path):
 def test_loaded_policy_gives_the_mean_action(folder, trainer):
     policy = load_policy(folder)
     observation = trainer.env.observation
-    torch.testing.assert_close(policy(observation), trainer.networks.head(observation)[0].clamp(-1, 1))
+    torch.testing.assert_close(
+        policy(observation), trainer.networks.head(observation)[0].clamp(-1, 1)
+    )
     policy.require_layout(trainer.env.stages)
 
 

@@ -1,4 +1,4 @@
-"""PPO: what it collects, how it bootstraps, and that a resumed run is the run that never stopped."""
+"""PPO: what it collects, how it bootstraps, and that resuming changes nothing."""
 
 import pytest
 import torch
@@ -87,9 +87,15 @@ def test_advantages_agree_with_a_loop_that_bootstraps_truncations_only(trainer):
                 else:
                     following = batch["state_value"][t + 1, row] if t + 1 < steps else last[row]
                 reward = batch["reward"][t, row] * settings.reward_scale
-                delta = reward + settings.gamma * following * (not terminated) - batch["state_value"][t, row]
+                delta = (
+                    reward
+                    + settings.gamma * following * (not terminated)
+                    - batch["state_value"][t, row]
+                )
                 advantage = delta + settings.gamma * settings.gae_lambda * advantage * (not done)
-                torch.testing.assert_close(batch["advantage"][t, row], advantage, rtol=1e-4, atol=1e-5)
+                torch.testing.assert_close(
+                    batch["advantage"][t, row], advantage, rtol=1e-4, atol=1e-5
+                )
     assert observations  # the small world ends episodes, so that the case is met
 
 

@@ -5,6 +5,7 @@ import signal
 import threading
 
 import pytest
+from test_ppo import SMALL
 
 from resc.errors import RecordingError
 from resc.learning.assemble import build_trainer
@@ -13,7 +14,6 @@ from resc.learning.progress import CsvLogger, ProgressTable, describe, draw_lear
 from resc.learning.training import train
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import open_recorder
-from test_ppo import SMALL
 
 
 def run(trainer, folder, recorder=None, total_frames=512):
@@ -33,7 +33,11 @@ def run(trainer, folder, recorder=None, total_frames=512):
 def recorder_for(config, trainer, folder):
     outcomes = trainer.statistics.outcomes
     return open_recorder(
-        config, trainer.env.stages, directory=folder, outcomes=outcomes, num_envs=trainer.env.num_envs
+        config,
+        trainer.env.stages,
+        directory=folder,
+        outcomes=outcomes,
+        num_envs=trainer.env.num_envs,
     )
 
 

@@ -1,4 +1,4 @@
-"""The obstacle observation one ray at a time, in plain Python floats, as the fact sheet's pseudo-code 4.3 to 4.5 reads.
+"""The obstacle observation one ray at a time, as the fact sheet's pseudo-code (4.3 to 4.5).
 
 Slow and without cleverness: the truth that the batched versions are compared with.
 """
@@ -15,7 +15,7 @@ REACHED = 1e-3
 
 
 class Map:
-    """A distance field as nested lists, row 0 at the lowest y, its lower-left corner at `origin`."""
+    """A distance field as nested lists, row 0 lowest, its lower-left corner at `origin`."""
 
     def __init__(self, rows, origin=(0.0, 0.0)):
         self.rows, self.origin = rows, origin
@@ -96,7 +96,8 @@ def sweep(field, p, radius, toward, side, guide_hit, gap):
 def corner(field, p, target, hit, *, nearest):
     """The corner of the cell hit with the least or greatest angle to the guide, relative to p."""
     west, south = (
-        math.floor((hit[i] - field.origin[i]) / RESOLUTION) * RESOLUTION + field.origin[i] for i in (0, 1)
+        math.floor((hit[i] - field.origin[i]) / RESOLUTION) * RESOLUTION + field.origin[i]
+        for i in (0, 1)
     )
     corners = [
         (x - p[0], y - p[1]) for x in (west, west + RESOLUTION) for y in (south, south + RESOLUTION)

@@ -10,7 +10,10 @@ from resc.terms.terminations.collision import Collision
 
 
 def numbered(size=(2.0, 1.5)):
-    """Entry 1 of a pool; cell (row, column) of its map holds 10 row + column. Cells of 0.5 m, lower-left corner (-1, 2)."""
+    """Entry 1 of a pool; cell (row, column) of its map holds 10 row + column.
+
+    Cells of 0.5 m, lower-left corner (-1, 2).
+    """
     grid = 10 * torch.arange(3.0).unsqueeze(1) + torch.arange(4.0)
     pool = torch.stack((torch.full((3, 4), -1.0), grid))
     origin, extent = torch.tensor([[-1.0, 2.0]]), torch.tensor([size])
@@ -73,8 +76,13 @@ def test_collision_is_flagged_exactly_where_the_cells_distance_is_below_the_radi
     count, random = 100_000, np.random.default_rng(0)
     occupied = torch.from_numpy(random.random((5, 120, 100)) < 0.01)
     esdf = distance_transform(occupied, 0.1, 3.0)
-    origin, size = torch.tensor([[-5.0, 2.0]]).expand(5, 2), torch.tensor([[10.0, 12.0]]).expand(5, 2)
-    position = torch.from_numpy(random.random((count, 3)).astype(np.float32)) * torch.tensor([10.0, 12.0, 2.0])
+    origin, size = (
+        torch.tensor([[-5.0, 2.0]]).expand(5, 2),
+        torch.tensor([[10.0, 12.0]]).expand(5, 2),
+    )
+    position = torch.from_numpy(random.random((count, 3)).astype(np.float32)) * torch.tensor(
+        [10.0, 12.0, 2.0]
+    )
     position += torch.tensor([-5.0, 2.0, 0.0])
     index = torch.from_numpy(random.integers(0, 5, (count, 1)))
 

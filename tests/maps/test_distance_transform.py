@@ -16,13 +16,19 @@ def random_maps(count, height, width, density, seed):
 
 
 def reference(occupied):
-    """scipy's exact transform of each map in cells; it has no answer for a map without obstacles."""
-    maps = [distance_transform_edt(~one) if one.any() else np.full(one.shape, np.inf) for one in occupied.numpy()]
+    """scipy's exact transform of each map in cells; none for a map without obstacles."""
+    maps = [
+        distance_transform_edt(~one) if one.any() else np.full(one.shape, np.inf)
+        for one in occupied.numpy()
+    ]
     return torch.from_numpy(np.stack(maps).astype(np.float32))
 
 
 def assert_same_squares(ours, expected):
-    """Squared distances in cells are whole numbers, so they must agree exactly; the root may differ in its last bit."""
+    """Squared distances in cells are whole numbers and agree exactly.
+
+    The root may differ in its last bit.
+    """
     assert torch.equal(ours.double().square().round(), expected.double().square().round())
     assert_close(ours, expected, atol=0, rtol=1.3e-7)
 

@@ -1,9 +1,10 @@
 """Both renderings of the obstacle rays against the scalar version of the fact sheet.
 
-Double precision agrees on every pose to 1e-9 m, ties aside: near obstacles rays advance by 0.1 m, so two hits may lie exactly
-`GAP` = 0.9 m apart, and rounding alone decides whether that is a gap. Single precision, the CPU operators among them, may also
-look into the next cell where a hit lies within 1e-5 m of a cell border. Both together concern at most 0.2 % of random poses
-(seen: 0.07 %, all of them ties); all others agree to 1e-4 m.
+Double precision agrees on every pose to 1e-9 m, ties aside: near obstacles rays advance by 0.1 m,
+so two hits may lie exactly `GAP` = 0.9 m apart, and rounding alone decides whether that is a gap.
+Single precision, the CPU operators among them, may also look into the next cell where a hit lies
+within 1e-5 m of a cell border. Both together concern at most 0.2 % of random poses (seen: 0.07 %,
+all of them ties); all others agree to 1e-4 m.
 """
 
 import math
@@ -32,13 +33,17 @@ def random_pool(count, generator):
         for _ in range(int(torch.randint(1, 15, (), generator=generator))):
             row, column, height, width = torch.randint(0, 80, (4,), generator=generator).tolist()
             wall = height % 3 == 0
-            occupied[number, row : row + height % 7 + 1, column : column + (width // 3 if wall else width % 7) + 1] = True
+            occupied[
+                number,
+                row : row + height % 7 + 1,
+                column : column + (width // 3 if wall else width % 7) + 1,
+            ] = True
     return distance_transform(occupied, 0.1, 3.0)
 
 
 @pytest.fixture(scope="module")
 def poses():
-    """Random places, some off the map, some inside obstacles, with guides to all sides; and the scalar answers."""
+    """Random places, also off the map and inside obstacles, all guides, the scalar answers."""
     generator = torch.Generator().manual_seed(2)
     esdf = random_pool(POSES // PER_MAP, generator)
     index = torch.arange(POSES) // PER_MAP
@@ -49,7 +54,9 @@ def poses():
     radius = torch.where(unit[:, 4] < 0.5, 2.0, far + 0.3)
     maps = [scalar_kgp.Map(one.double().tolist(), ORIGIN) for one in esdf]
     edges, free = [], []
-    for number, (p, o, r) in enumerate(zip(here.double(), offset.double(), radius.double(), strict=True)):
+    for number, (p, o, r) in enumerate(
+        zip(here.double(), offset.double(), radius.double(), strict=True)
+    ):
         field, p, target = maps[number // PER_MAP], tuple(p.tolist()), tuple((p + o).tolist())
         edges.append(scalar_kgp.guided(field, p, target, float(r)))
         end = scalar_kgp.polar(p, 3.0, math.atan2(target[1] - p[1], target[0] - p[0]))
@@ -66,7 +73,13 @@ def field_of(esdf, index, dtype=torch.float32, origin=ORIGIN, size=SIZE):
 
 
 def share_that_differs(ours, expected):
-    return float(((ours.double() - expected).abs() > TOLERANCE_M).reshape(len(expected), -1).any(1).double().mean())
+    return float(
+        ((ours.double() - expected).abs() > TOLERANCE_M)
+        .reshape(len(expected), -1)
+        .any(1)
+        .double()
+        .mean()
+    )
 
 
 def test_the_random_poses_cover_every_case(poses):
@@ -90,10 +103,18 @@ def test_edges_in_double_precision_equal_the_scalar_version_but_for_ties(poses):
     assert differs.double().mean() < 0.002
     for number in differs.nonzero()[:, 0].tolist():
         field = scalar_kgp.Map(esdf[index[number]].double().tolist(), ORIGIN)
-        pose = field, tuple(here[number].tolist()), tuple((here + offset)[number].tolist()), float(radius[number])
+        pose = (
+            field,
+            tuple(here[number].tolist()),
+            tuple((here + offset)[number].tolist()),
+            float(radius[number]),
+        )
         either = [scalar_kgp.guided(*pose, gap=scalar_kgp.GAP + slack) for slack in (-1e-9, 1e-9)]
         for side in (slice(0, 2), slice(2, 4)):
-            assert any(ours[number, side].tolist() == pytest.approx(edges[side], abs=1e-9) for edges in either)
+            assert any(
+                ours[number, side].tolist() == pytest.approx(edges[side], abs=1e-9)
+                for edges in either
+            )
 
 
 def test_rays_in_double_precision_equal_the_scalar_version_everywhere(poses):
@@ -106,7 +127,9 @@ def test_rays_in_double_precision_equal_the_scalar_version_everywhere(poses):
     assert_close(ours[on_map], free[on_map], atol=1e-6, rtol=0)
 
 
-def test_edges_of_the_cpu_operator_differ_from_the_scalar_version_in_at_most_two_of_a_thousand_poses(poses):
+def test_edges_of_the_cpu_operator_differ_from_the_scalar_version_in_at_most_two_of_a_thousand_poses(
+    poses,
+):
     esdf, index, here, offset, radius, edges, _ = poses
     ours = ray_casting.guided(field_of(esdf, index), here, offset, radius, 3.0)
     assert share_that_differs(ours, edges) <= MISMATCHES
@@ -181,14 +204,17 @@ def test_a_jump_off_the_map_ends_a_ray_where_it_started_from():
 
 def test_a_ray_ends_in_the_first_cell_within_the_inflation():
     wall = one_map((0, 80, 120, 5))  # x from 8.0 m: cells 78 and 79 are nearer than 0.29 m
-    # From cell 60: distance 2.0, jump 1.5757 to cell 76; distance 0.4, so steps of 0.1 m to cell 78.
+    # From cell 60: distance 2.0, jump 1.5757 to cell 76; distance 0.4, so steps of 0.1 m to cell
+    # 78.
     expected = 2.0 - math.sqrt(2) * 0.3 + 0.2
     assert free(wall, (6.05, 6.05), (1.0, 0.0)) == pytest.approx(expected, abs=1e-5)
 
 
 def test_the_cell_a_ray_starts_in_is_not_tested():
     wall = one_map((0, 80, 120, 5))
-    assert free(wall, (7.85, 6.05), (-1.0, 0.0)) == pytest.approx(3.0)  # 0.2 m from it, leaving at once
+    assert free(wall, (7.85, 6.05), (-1.0, 0.0)) == pytest.approx(
+        3.0
+    )  # 0.2 m from it, leaving at once
     assert free(wall, (7.85, 6.05), (1.0, 0.0)) == pytest.approx(0.1)
     assert free(wall, (7.95, 6.05), (0.0, 1.0)) == pytest.approx(0.1)
 
@@ -204,7 +230,8 @@ def test_no_obstacle_in_the_sector_is_a_point_at_the_radius_60_degrees_to_each_s
 def test_a_free_guide_finds_the_obstacles_beside_the_corridor():
     corridor = one_map((70, 70, 3, 3), (50, 70, 3, 3))  # boxes at x 7.0, y 7.0..7.3 and 5.0..5.3
     left_x, left_y, right_x, right_y = edges(corridor, (6.05, 6.15), (2.0, 0.0), 2.0)
-    # Cells within 0.29 m of the left box reach from x 6.8 to 7.5 m and down to y 6.8 m; the lower right corner shows first.
+    # Cells within 0.29 m of the left box reach from x 6.8 to 7.5 m and down to y 6.8 m; the lower
+    # right corner shows first.
     assert (left_x, left_y) == pytest.approx((1.45, 0.65), abs=1e-5)
     assert (right_x, right_y) == pytest.approx((1.45, -0.65), abs=1e-5)
 
@@ -231,7 +258,9 @@ def test_a_guide_without_direction_reports_the_lower_left_corner():
         step = math.atan2(0.05, 0.3)
         angle = side * step * math.ceil(math.pi / 3 / step)
         hit = here[0] + 0.3 * math.cos(angle), here[1] + 0.3 * math.sin(angle)
-        assert (x + here[0], y + here[1]) == pytest.approx([math.floor(c / 0.1) * 0.1 for c in hit], abs=1e-5)
+        assert (x + here[0], y + here[1]) == pytest.approx(
+            [math.floor(c / 0.1) * 0.1 for c in hit], abs=1e-5
+        )
 
 
 @pytest.mark.parametrize("here", [(-0.01, 6.0), (6.0, 12.0), (12.5, 13.0)])

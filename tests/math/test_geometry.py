@@ -21,7 +21,12 @@ def test_box_distance_beside_at_a_corner_and_inside():
 
 def test_box_distance_takes_each_point_to_its_own_boxes():
     points = torch.tensor([[0.0, 0.0], [10.0, 0.0]])
-    boxes = torch.tensor([[[1.0, 0.0, 1.0, 1.0], [3.0, 0.0, 1.0, 1.0]], [[8.0, -1.0, 1.0, 2.0], [2.0, 0.0, 1.0, 1.0]]])
+    boxes = torch.tensor(
+        [
+            [[1.0, 0.0, 1.0, 1.0], [3.0, 0.0, 1.0, 1.0]],
+            [[8.0, -1.0, 1.0, 2.0], [2.0, 0.0, 1.0, 1.0]],
+        ]
+    )
     assert_close(box_distance(points, boxes), torch.tensor([[1.0, 3.0], [1.0, 7.0]]))
 
 

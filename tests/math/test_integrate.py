@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import torch
@@ -17,7 +18,7 @@ def error_after_one_period(steps):
 
 def test_rk4_converges_with_order_four():
     errors = [error_after_one_period(steps) for steps in (20, 40, 80)]
-    orders = [math.log2(coarse / fine) for coarse, fine in zip(errors, errors[1:], strict=False)]
+    orders = [math.log2(coarse / fine) for coarse, fine in itertools.pairwise(errors)]
     assert all(abs(order - 4) < 0.1 for order in orders), orders
 
 

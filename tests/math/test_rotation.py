@@ -70,8 +70,12 @@ def test_quarter_turns_point_where_the_conventions_say():
         torch.tensor([[0.0, 0.0, QUARTER], [0.0, QUARTER, 0.0], [QUARTER, 0.0, 0.0]])
     ).split(1)
     assert_close(rotation.body_x_w(yaw), torch.tensor([[0.0, 1.0, 0.0]]))  # yaw turns to the left
-    assert_close(rotation.body_x_w(pitch), torch.tensor([[0.0, 0.0, -1.0]]))  # pitch lowers the nose
-    assert_close(rotation.body_z_w(roll), torch.tensor([[0.0, -1.0, 0.0]]))  # roll leans to the right
+    assert_close(
+        rotation.body_x_w(pitch), torch.tensor([[0.0, 0.0, -1.0]])
+    )  # pitch lowers the nose
+    assert_close(
+        rotation.body_z_w(roll), torch.tensor([[0.0, -1.0, 0.0]])
+    )  # roll leans to the right
 
 
 def test_a_product_applies_its_right_factor_first():
@@ -87,7 +91,9 @@ def test_derivative_agrees_with_a_finite_turn_about_a_body_axis():
 
     def after(seconds):
         angle = rate.norm(dim=-1, keepdim=True) * seconds
-        turn = torch.cat(((angle / 2).cos(), rate / rate.norm(dim=-1, keepdim=True) * (angle / 2).sin()), -1)
+        turn = torch.cat(
+            ((angle / 2).cos(), rate / rate.norm(dim=-1, keepdim=True) * (angle / 2).sin()), -1
+        )
         return rotation.multiply(attitude, turn)
 
     slope = (after(1e-4) - after(-1e-4)) / 2e-4

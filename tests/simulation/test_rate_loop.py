@@ -54,8 +54,15 @@ def rate_after_one_step(loop, context, thrust_n, rate_command):
 
 
 def test_mix_of_imp250_is_the_published_closed_form():
-    expected = [[-0.7071, -0.7031, -1], [-0.7071, 0.7031, 1], [0.7071, 0.7031, -1], [0.7071, -0.7031, 1]]
-    assert normalized_mix((0.088, 0.0875, 0.0875), 0.012) == pytest.approx(torch.tensor(expected).numpy(), abs=5e-5)
+    expected = [
+        [-0.7071, -0.7031, -1],
+        [-0.7071, 0.7031, 1],
+        [0.7071, 0.7031, -1],
+        [0.7071, -0.7031, 1],
+    ]
+    assert normalized_mix((0.088, 0.0875, 0.0875), 0.012) == pytest.approx(
+        torch.tensor(expected).numpy(), abs=5e-5
+    )
 
 
 def test_rotor_throttles_follow_the_published_closed_form(normalized):
@@ -154,7 +161,9 @@ def test_allocation_and_torque_agree_for_uneven_arms():
 
 def test_one_rotor_turns_the_body_the_published_way():
     front_right = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
-    torque = body_torque(front_right, torch.tensor([[0.088, 0.0875, 0.0875]]), torch.tensor([[0.012]]))
+    torque = body_torque(
+        front_right, torch.tensor([[0.088, 0.0875, 0.0875]]), torch.tensor([[0.012]])
+    )
     assert_close(torque, torch.tensor([[-0.0875, -0.088, -0.012]]))
 
 
@@ -164,7 +173,9 @@ def test_an_impossible_throttle_range_is_refused(throttle_range):
         NormalizedRateLoop(gains=GAINS, throttle_range=throttle_range)
 
 
-@pytest.mark.parametrize("make", [TorqueRateLoop, lambda **a: NormalizedRateLoop(**a, throttle_range=[0.3, 0.8])])
+@pytest.mark.parametrize(
+    "make", [TorqueRateLoop, lambda **a: NormalizedRateLoop(**a, throttle_range=[0.3, 0.8])]
+)
 def test_gains_for_two_axes_are_refused(make):
     with pytest.raises(ConfigError, match="gains"):
         make(gains=[0.15, 0.15])

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -19,7 +20,7 @@ def row(*values):
 
 
 class Flight:
-    """One vehicle in double precision; `fly` advances it by control steps with the rotor commands held."""
+    """One vehicle in double precision; `fly` advances it with the rotor commands held."""
 
     def __init__(self, context, *, substeps=2, lag_s=0.0, drag_1ps=0.0, dtype=F64, **state):
         self.body = RigidBody(substeps=substeps, rotor_time_constant_s=lag_s, drag_1ps=drag_1ps)
@@ -77,7 +78,9 @@ def test_a_tumbling_body_keeps_its_angular_momentum_and_energy(context):
 
 def test_a_spin_about_one_axis_turns_by_rate_times_time(context):
     flight = Flight(context, rate=row(0.0, 0.0, 2.0)).fly(50, OFF)
-    assert_close(rotation.euler_from_quaternion(flight.attitude), row(0.0, 0.0, 2.0), atol=1e-8, rtol=0)
+    assert_close(
+        rotation.euler_from_quaternion(flight.attitude), row(0.0, 0.0, 2.0), atol=1e-8, rtol=0
+    )
     assert_close(flight.rate, row(0.0, 0.0, 2.0), atol=0, rtol=0)
 
 
@@ -97,7 +100,7 @@ def after(context, substeps, **options):
 def test_halving_the_substep_divides_the_error_by_sixteen(context, drag_1ps):
     exact = after(context, 32, drag_1ps=drag_1ps)
     errors = [float((after(context, n, drag_1ps=drag_1ps) - exact).norm()) for n in (1, 2, 4)]
-    orders = [math.log2(a / b) for a, b in zip(errors, errors[1:], strict=False)]
+    orders = [math.log2(a / b) for a, b in itertools.pairwise(errors)]
     assert all(abs(order - 4) < 0.25 for order in orders), orders
 
 
@@ -155,7 +158,9 @@ def test_gradients_flow_from_the_state_back_to_the_rotor_commands(context):
     assert (command.grad != 0).all()
 
 
-@pytest.mark.parametrize("wrong", [{"substeps": 0}, {"drag_1ps": -0.1}, {"rotor_time_constant_s": -0.01}])
+@pytest.mark.parametrize(
+    "wrong", [{"substeps": 0}, {"drag_1ps": -0.1}, {"rotor_time_constant_s": -0.01}]
+)
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(ConfigError):
         RigidBody(**wrong)

@@ -60,7 +60,8 @@ class BodyRateThrust(Action):
     ) -> tuple[Float[Tensor, "n d 4"], Float[Tensor, "n 3"], Float[Tensor, "n 1"]]:
         queue = torch.cat((action.clamp(-1, 1).unsqueeze(1), queue[:, :-1]), 1)
         age = torch.arange(queue.shape[1], device=queue.device)
-        applied = (queue * (age == delay).unsqueeze(-1)).sum(1)
+        due = age == delay.clamp(max=queue.shape[1] - 1)
+        applied = (queue * due.unsqueeze(-1)).sum(1)
         low, high = self.thrust_range_g
         thrust = self.weight_n * ((applied[:, 3:] + 1) / 2 * (high - low) + low)
         return queue, applied[:, :3] * self.limit, thrust

@@ -18,7 +18,10 @@ class PathLength(Metric):
     unit = "m"
 
     def compute(
-        self, so_far: Float[Tensor, "n 1"], position: Float[Tensor, "n 3"], previous: Float[Tensor, "n 3"]
+        self,
+        so_far: Float[Tensor, "n 1"],
+        position: Float[Tensor, "n 3"],
+        previous: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "n 1"]:
         return so_far + distance(position, previous)
 
@@ -29,7 +32,9 @@ class TopSpeed(Metric):
     reads = (keys.VELOCITY_W,)
     unit = "m/s"
 
-    def compute(self, so_far: Float[Tensor, "n 1"], velocity: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
+    def compute(
+        self, so_far: Float[Tensor, "n 1"], velocity: Float[Tensor, "n 3"]
+    ) -> Float[Tensor, "n 1"]:
         return torch.maximum(so_far, norm(velocity))
 
 
@@ -39,7 +44,9 @@ class TopAcceleration(Metric):
     reads = (keys.ACCELERATION_W,)
     unit = "m/s^2"
 
-    def compute(self, so_far: Float[Tensor, "n 1"], acceleration: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
+    def compute(
+        self, so_far: Float[Tensor, "n 1"], acceleration: Float[Tensor, "n 3"]
+    ) -> Float[Tensor, "n 1"]:
         return torch.maximum(so_far, norm(acceleration))
 
 
@@ -50,14 +57,19 @@ class LeastClearance(Metric):
     unit = "m"
     start = torch.inf
 
-    def compute(self, so_far: Float[Tensor, "n 1"], clearance: Float[Tensor, "n 1"]) -> Float[Tensor, "n 1"]:
+    def compute(
+        self, so_far: Float[Tensor, "n 1"], clearance: Float[Tensor, "n 1"]
+    ) -> Float[Tensor, "n 1"]:
         return torch.minimum(so_far, clearance)
 
 
 class Energy(Metric):
-    """Integral of squared jerk [m^2/s^5], jerk being the change of mean acceleration from step to step over dt.
+    """Integral of squared jerk [m^2/s^5].
 
-    The first step has no predecessor and counts nothing. The value depends on the sampling step (reference: planners 0.3).
+    Jerk is the change of mean acceleration from step to step, over dt.
+
+    The first step has no predecessor and counts nothing. The value depends on the sampling step
+    (reference: planners 0.3).
     """
 
     reads = (keys.ACCELERATION_W, keys.previous(keys.ACCELERATION_W), keys.CLOCK)
@@ -84,12 +96,17 @@ class StepsOverLimit(Metric):
     reads = (keys.LIMIT_VIOLATIONS,)
     unit = "steps"
 
-    def compute(self, so_far: Float[Tensor, "n 1"], violations: Float[Tensor, "n 1"]) -> Float[Tensor, "n 1"]:
+    def compute(
+        self, so_far: Float[Tensor, "n 1"], violations: Float[Tensor, "n 1"]
+    ) -> Float[Tensor, "n 1"]:
         return so_far + (violations > 0).to(so_far.dtype)
 
 
 class TimeWithin(Metric):
-    """First time [s] within `radius_m` of the last control point; infinite until then. Runs on after the finish."""
+    """First time [s] within `radius_m` of the last control point; infinite until then.
+
+    Runs on after the finish.
+    """
 
     reads = (keys.POSITION_W, keys.ROUTE_W, keys.CLOCK)
     unit = "s"

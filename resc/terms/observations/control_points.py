@@ -9,11 +9,16 @@ from resc.term import Observation
 
 
 class ControlPointOffsets(Observation):
-    """cp0 - p, cp1 - p, cp1 - cp0 [m], world-aligned; the last is zero at the last control point (facts 3, 31-39)."""
+    """cp0 - p, cp1 - p, cp1 - cp0 [m], world-aligned (facts 3, 31-39).
+
+    cp1 - cp0 is zero at the last control point.
+    """
 
     reads = (keys.POSITION_W, keys.CONTROL_POINTS_W)
     columns = tuple(f"{name}_{axis}" for name in ("first", "second", "between") for axis in "xyz")
 
-    def compute(self, position: Float[Tensor, "n 3"], points: Float[Tensor, "n 2 3"]) -> Float[Tensor, "n 9"]:
+    def compute(
+        self, position: Float[Tensor, "n 3"], points: Float[Tensor, "n 2 3"]
+    ) -> Float[Tensor, "n 9"]:
         first, second = points.unbind(1)
         return torch.cat((first - position, second - position, second - first), -1)

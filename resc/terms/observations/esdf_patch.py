@@ -13,7 +13,10 @@ COLUMNS = ("left", "centre", "right")
 
 
 class EsdfPatch(Observation):
-    """3 x 3 distances [m] one cell apart, from (-x, +y) row by row to (+x, -y), world-aligned (facts 3, 11-19)."""
+    """3 x 3 distances [m] one cell apart, world-aligned (facts 3, 11-19).
+
+    From (-x, +y) row by row to (+x, -y).
+    """
 
     reads = (keys.POSITION_W, keys.SCENE_INDEX, keys.ESDF, keys.MAP_ORIGIN_W, keys.MAP_SIZE)
     columns = tuple(f"{row}_{column}" for row in ROWS for column in COLUMNS)
@@ -33,4 +36,6 @@ class EsdfPatch(Observation):
         field = select(esdf, index, origin, size, self.resolution_m)
         x, y = position[:, 0], position[:, 1]
         step = self.resolution_m
-        return torch.stack([field.at(x + i * step, y + j * step) for j in (1, 0, -1) for i in (-1, 0, 1)], -1)
+        return torch.stack(
+            [field.at(x + i * step, y + j * step) for j in (1, 0, -1) for i in (-1, 0, 1)], -1
+        )

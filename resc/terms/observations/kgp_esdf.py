@@ -16,15 +16,18 @@ FREE_RANGE_M = 3.0
 
 
 class KgpEsdf(Observation):
-    """Edges left and right of the velocity and of the control point, and one free distance [m], world-aligned.
+    """Edges beside the velocity and the control point, and one free distance [m], world-aligned.
 
-    [guided(p, p_v), guided(p, cp), d] with p_v = p + v / |v| * |p - cp| (facts 4.4, 4.5). `guided` sweeps 60 degrees to each
-    side of a guide ray. If the guide ray is free it finds the nearest blocked ray of each side, the edge of the corridor; if
-    it is blocked, the place where the blocking obstacle ends. The result is a corner of the 0.1 m cell hit, relative to p.
-    Without motion the velocity guide has no direction: it then points at the control point, and outside the map the edges are 0.
+    [guided(p, p_v), guided(p, cp), d] with p_v = p + v / |v| * |p - cp| (facts 4.4, 4.5). `guided`
+    sweeps 60 degrees to each side of a guide ray. If the guide ray is free it finds the nearest
+    blocked ray of each side, the edge of the corridor; if it is blocked, the place where the
+    blocking obstacle ends. The result is a corner of the 0.1 m cell hit, relative to p. Without
+    motion the velocity guide has no direction: it then points at the control point, and outside the
+    map the edges are 0.
 
     Args:
-        free_distance: What d is measured along: the velocity (as in the paper) or the control point (as in the code).
+        free_distance: What d is measured along: the velocity (as in the paper) or the control point
+            (as in the code).
         longest_guide_m: Bound of the velocity guide's radius; farther control points are cut to it.
         scale: Factor on all nine numbers.
     """
@@ -49,9 +52,13 @@ class KgpEsdf(Observation):
     ) -> None:
         super().__init__(scale=scale)
         if free_distance not in ("velocity", "control_point"):
-            raise ConfigError(f"free_distance is '{free_distance}'; expected 'velocity' or 'control_point'.")
+            raise ConfigError(
+                f"free_distance is '{free_distance}'; expected 'velocity' or 'control_point'."
+            )
         if longest_guide_m <= INFLATION_M:
-            raise ConfigError(f"longest_guide_m is {longest_guide_m}; expected more than {INFLATION_M}.")
+            raise ConfigError(
+                f"longest_guide_m is {longest_guide_m}; expected more than {INFLATION_M}."
+            )
         self.free_distance = free_distance
         self.longest_guide_m = longest_guide_m
         self.resolution_m = 0.0
@@ -88,7 +95,9 @@ class KgpEsdf(Observation):
         )
 
 
-def _toward_velocity(velocity: Float[Tensor, "n 3"], to_point: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+def _toward_velocity(
+    velocity: Float[Tensor, "n 3"], to_point: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 3"]:
     """From the vehicle to the velocity control point [m]: along v, as far as the control point."""
     speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
     far = torch.linalg.vector_norm(to_point, dim=-1, keepdim=True)

@@ -14,5 +14,7 @@ class PlanarDistances(Observation):
     reads = (keys.POSITION_W, keys.CONTROL_POINTS_W)
     columns = ("first", "second")
 
-    def compute(self, position: Float[Tensor, "n 3"], points: Float[Tensor, "n 2 3"]) -> Float[Tensor, "n 2"]:
+    def compute(
+        self, position: Float[Tensor, "n 3"], points: Float[Tensor, "n 2 3"]
+    ) -> Float[Tensor, "n 2"]:
         return norm((points - position.unsqueeze(1))[..., :2]).squeeze(-1)

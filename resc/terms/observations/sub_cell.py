@@ -8,7 +8,10 @@ from resc.term import Context, Observation
 
 
 class SubCell(Observation):
-    """Offset from the cell's lower-left corner [m], in [0, resolution): what the grid look-ups cannot see (facts 3, 0-1)."""
+    """Offset from the cell's lower-left corner [m], in [0, resolution) (facts 3, 0-1).
+
+    What the grid look-ups cannot see.
+    """
 
     reads = (keys.POSITION_W, keys.SCENE_INDEX, keys.MAP_ORIGIN_W)
     columns = ("x", "y")
@@ -18,6 +21,9 @@ class SubCell(Observation):
         self.resolution_m = context.resolution_m
 
     def compute(
-        self, position: Float[Tensor, "n 3"], index: Int[Tensor, "n 1"], origin: Float[Tensor, "p 2"]
+        self,
+        position: Float[Tensor, "n 3"],
+        index: Int[Tensor, "n 1"],
+        origin: Float[Tensor, "p 2"],
     ) -> Float[Tensor, "n 2"]:
         return (position[:, :2] - origin[index[:, 0]]).remainder(self.resolution_m)

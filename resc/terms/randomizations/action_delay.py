@@ -9,7 +9,10 @@ from resc.term import Randomization
 
 
 class ActionDelay(Randomization):
-    """A delay of 0 to `longest_steps` whole control steps, equally likely, constant over an episode (2025 paper, V-C)."""
+    """A delay of 0 to `longest_steps` control steps, equally likely (2025 paper, V-C).
+
+    Constant over an episode.
+    """
 
     reads = writes = (keys.ACTION_DELAY,)
     draws = 1
@@ -20,5 +23,7 @@ class ActionDelay(Randomization):
             raise ConfigError(f"longest_steps is {longest_steps}; expected zero or more.")
         self.longest_steps = longest_steps
 
-    def compute(self, delay: Float[Tensor, "n 1"], unit: Float[Tensor, "n 1"]) -> Float[Tensor, "n 1"]:
+    def compute(
+        self, delay: Float[Tensor, "n 1"], unit: Float[Tensor, "n 1"]
+    ) -> Float[Tensor, "n 1"]:
         return (unit * (self.longest_steps + 1)).floor() + 0 * delay

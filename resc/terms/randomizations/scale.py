@@ -17,7 +17,9 @@ class _Scale(Randomization):
             raise ConfigError(f"spread is {spread}; expected a share in [0, 1).")
         self.spread = spread
 
-    def compute(self, nominal: Float[Tensor, "n d"], unit: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+    def compute(
+        self, nominal: Float[Tensor, "n d"], unit: Float[Tensor, "n d"]
+    ) -> Float[Tensor, "n d"]:
         return nominal * uniform_between(unit, 1 - self.spread, 1 + self.spread)
 
 
@@ -36,7 +38,10 @@ class Inertia(_Scale):
 
 
 class ThrustMap(_Scale):
-    """Rotor thrust over command times 1 + U(-spread, spread), the same for the four rotors (2025 paper, V-C)."""
+    """Rotor thrust over command times 1 + U(-spread, spread) (2025 paper, V-C).
+
+    The same for the four rotors.
+    """
 
     reads = writes = (keys.THRUST_SCALE,)
     draws = 1

@@ -12,5 +12,7 @@ class Arrival(Reward):
 
     reads = (keys.PASSED, keys.POSITION_W)
 
-    def compute(self, passed: Bool[Tensor, "n 1"], position: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
+    def compute(
+        self, passed: Bool[Tensor, "n 1"], position: Float[Tensor, "n 3"]
+    ) -> Float[Tensor, "n 1"]:
         return passed.to(position.dtype)

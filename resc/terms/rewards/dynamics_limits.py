@@ -8,7 +8,7 @@ from resc.term import Reward
 
 
 class DynamicsLimits(Reward):
-    """-n, n in {0..3}: how many of speed, acceleration and tilt exceed their limits (2025 paper, eq. 8)."""
+    """-n, n in {0..3}: how many of speed, acceleration, tilt exceed limits (2025 paper, eq. 8)."""
 
     reads = (keys.LIMIT_VIOLATIONS,)
 

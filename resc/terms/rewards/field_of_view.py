@@ -14,10 +14,11 @@ from resc.term import Reward
 
 
 class FieldOfView(Reward):
-    """-1 if neither of the next two control points is inside the camera's field of view (2025 paper, eq. 6).
+    """-1 if neither of the next two control points is in view (2025 paper, eq. 6).
 
-    The camera looks along the body's x axis; the angles are those of a depth camera of 90 x 59 degrees (facts 5.3). A control
-    point nearer than `blind_m` counts as seen: under the vehicle it has no direction.
+    The camera looks along the body's x axis; the angles are those of a depth camera of 90 x 59
+    degrees (facts 5.3). A control point nearer than `blind_m` counts as seen: under the vehicle it
+    has no direction.
     """
 
     reads = (keys.POSITION_W, keys.ATTITUDE_WB, keys.CONTROL_POINTS_W)
@@ -38,10 +39,15 @@ class FieldOfView(Reward):
         self.blind_m = blind_m
 
     def compute(
-        self, position: Float[Tensor, "n 3"], attitude: Float[Tensor, "n 4"], points: Float[Tensor, "n 2 3"]
+        self,
+        position: Float[Tensor, "n 3"],
+        attitude: Float[Tensor, "n 4"],
+        points: Float[Tensor, "n 2 3"],
     ) -> Float[Tensor, "n 1"]:
         first, second = (points - position.unsqueeze(1)).unbind(1)
-        seen = self._sees(rotate_inverse(attitude, first)) | self._sees(rotate_inverse(attitude, second))
+        seen = self._sees(rotate_inverse(attitude, first)) | self._sees(
+            rotate_inverse(attitude, second)
+        )
         return -(~seen).to(position.dtype)
 
     def _sees(self, offset_b: Float[Tensor, "n 3"]) -> Tensor:

@@ -13,6 +13,9 @@ class Finish(Reward):
     reads = (keys.PASSED, keys.FINISHED, keys.POSITION_W)
 
     def compute(
-        self, passed: Bool[Tensor, "n 1"], finished: Bool[Tensor, "n 1"], position: Float[Tensor, "n 3"]
+        self,
+        passed: Bool[Tensor, "n 1"],
+        finished: Bool[Tensor, "n 1"],
+        position: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "n 1"]:
         return (passed & finished).to(position.dtype)

@@ -11,11 +11,12 @@ from resc.term import Context, Reward
 
 
 class Progress(Reward):
-    """Distance to the control point's column closed during the last step, over the longest possible one [-].
+    """Distance to the control point's column closed in a step, over the longest possible one [-].
 
-    r = (|p_in - p_prev| - |p_in - p|) / (v_max dt), p_in where the ray from p_prev through p enters the column of the control
-    point aimed at, else the control point itself (2025 paper, eq. 7; its time penalty is the term `time`). With
-    `column_radius_m: null` p_in is always the control point (2024 paper).
+    r = (|p_in - p_prev| - |p_in - p|) / (v_max dt), p_in where the ray from p_prev through p enters
+    the column of the control point aimed at, else the control point itself (2025 paper, eq. 7; its
+    time penalty is the term `time`). With `column_radius_m: null` p_in is always the control point
+    (2024 paper).
     """
 
     reads = (keys.POSITION_W, keys.previous(keys.POSITION_W), keys.TARGET_W)
@@ -40,15 +41,22 @@ class Progress(Reward):
         self.longest_m = self.speed_mps * context.dt_s
 
     def compute(
-        self, position: Float[Tensor, "n 3"], previous: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]
+        self,
+        position: Float[Tensor, "n 3"],
+        previous: Float[Tensor, "n 3"],
+        target: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "n 1"]:
-        aim = target if self.column_radius_m is None else self._entry(previous, position - previous, target)
+        aim = (
+            target
+            if self.column_radius_m is None
+            else self._entry(previous, position - previous, target)
+        )
         return (distance(aim, previous) - distance(aim, position)) / self.longest_m
 
     def _entry(
         self, start: Float[Tensor, "n 3"], step: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "n 3"]:
-        """Where the ray start + t step, t >= 0, enters the column around `target`, or `target` if it does not [m]."""
+        """Where start + t step, t >= 0, enters the column around `target`, else `target` [m]."""
         offset = start - target
         radius_squared = self.column_radius_m**2
         a = step[:, :2].square().sum(-1) + EPSILON
@@ -57,7 +65,9 @@ class Progress(Reward):
         discriminant = b * b - a * c
         side = (-b - discriminant.clamp(min=0).sqrt()) / a
         height_at_side = offset[:, 2] + side * step[:, 2]
-        hits_side = (discriminant >= 0) & (side >= 0) & (height_at_side.abs() <= self.column_half_height_m)
+        hits_side = (
+            (discriminant >= 0) & (side >= 0) & (height_at_side.abs() <= self.column_half_height_m)
+        )
         rise = step[:, 2]
         level = torch.where(rise.abs() < 1e-6, 1e-6, rise)
         cap = (torch.sign(offset[:, 2]) * self.column_half_height_m - offset[:, 2]) / level

@@ -10,7 +10,7 @@ from resc.term import Sensor
 
 
 class LimitViolations(Sensor):
-    """n in {0..3}: how many of speed, acceleration and tilt exceed their limits (2025 paper, eq. 8).
+    """n in {0..3}: how many of speed, acceleration, tilt exceed limits (2025 paper, eq. 8).
 
     Speed and mean kinematic acceleration by their norms; tilt is the larger of |roll| and |pitch|.
     """
@@ -18,7 +18,9 @@ class LimitViolations(Sensor):
     reads = (keys.VELOCITY_W, keys.ACCELERATION_W, keys.EULER)
     writes = (keys.LIMIT_VIOLATIONS,)
 
-    def __init__(self, *, speed_mps: float = 3.0, acceleration_mps2: float = 6.0, tilt_rad: float = 0.6545) -> None:
+    def __init__(
+        self, *, speed_mps: float = 3.0, acceleration_mps2: float = 6.0, tilt_rad: float = 0.6545
+    ) -> None:
         super().__init__()
         if min(speed_mps, acceleration_mps2, tilt_rad) <= 0:
             raise ConfigError("speed_mps, acceleration_mps2 and tilt_rad must be above zero.")
@@ -27,7 +29,10 @@ class LimitViolations(Sensor):
         self.tilt_rad = tilt_rad
 
     def compute(
-        self, velocity: Float[Tensor, "n 3"], acceleration: Float[Tensor, "n 3"], euler: Float[Tensor, "n 3"]
+        self,
+        velocity: Float[Tensor, "n 3"],
+        acceleration: Float[Tensor, "n 3"],
+        euler: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "n 1"]:
         fast = norm(velocity) > self.speed_mps
         hard = norm(acceleration) > self.acceleration_mps2

@@ -12,9 +12,9 @@ from resc.term import Term
 class ControlPoints(Term):
     """Moves on to the next control point once the current one's column is entered.
 
-    The column has radius `radius_m` and half height `half_height_m` (2025 paper); `half_height_m: null` makes it a sphere, the
-    rule of the released planner. At most one point is passed per step; past the last, it stays repeated and the route is
-    finished.
+    The column has radius `radius_m` and half height `half_height_m` (2025 paper); `half_height_m:
+    null` makes it a sphere, the rule of the released planner. At most one point is passed per step;
+    past the last, it stays repeated and the route is finished.
     """
 
     reads = (keys.POSITION_W, keys.ROUTE_W, keys.ROUTE_LENGTH, keys.ROUTE_INDEX)

@@ -15,8 +15,9 @@ from resc.term import Term, uniform_between
 class InitialState(Term):
     """Draws velocity, attitude and body rate; the position is where the scene starts (facts 6.1).
 
-    Speed is uniform up to `speed_mps`, its direction within `heading_rad` of the first control point and level; roll and pitch
-    within `tilt_rad`, yaw within `yaw_rad` of the first control point, body rates within `body_rate_radps`. Zeros start at rest.
+    Speed is uniform up to `speed_mps`, its direction within `heading_rad` of the first control
+    point and level; roll and pitch within `tilt_rad`, yaw within `yaw_rad` of the first control
+    point, body rates within `body_rate_radps`. Zeros start at rest.
     """
 
     reads = (keys.START_W, keys.ROUTE_W)
@@ -49,7 +50,9 @@ class InitialState(Term):
         signed = uniform_between(unit, -1.0, 1.0)
         course = bearing + signed[:, 0] * self.heading_rad
         speed = unit[:, 1] * self.speed_mps
-        velocity = torch.stack((speed * course.cos(), speed * course.sin(), torch.zeros_like(speed)), -1)
+        velocity = torch.stack(
+            (speed * course.cos(), speed * course.sin(), torch.zeros_like(speed)), -1
+        )
         tilt = signed[:, 2:4] * self.tilt_rad
         yaw = bearing + signed[:, 4] * self.yaw_rad
         attitude = quaternion_from_euler(torch.cat((tilt, yaw.unsqueeze(-1)), -1))

@@ -16,7 +16,10 @@ class HeightLimit(Termination):
     def __init__(self, *, ground_m: float = 0.0, ceiling_m: float = 2.0) -> None:
         super().__init__()
         if ground_m >= ceiling_m:
-            raise ConfigError(f"ground_m is {ground_m} and ceiling_m {ceiling_m}; the ceiling must be above the ground.")
+            raise ConfigError(
+                f"ground_m is {ground_m} and ceiling_m {ceiling_m}; the ceiling must be above the "
+                "ground."
+            )
         self.ground_m = ground_m
         self.ceiling_m = ceiling_m
 

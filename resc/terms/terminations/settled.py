@@ -12,7 +12,7 @@ SINCE = ("memory", "steps_since_finish")
 
 
 class Settled(Termination):
-    """`after_s` have gone by since the last control point was passed: for clocks that need a closer approach."""
+    """`after_s` since the last control point: for clocks that need a closer approach."""
 
     reads = (keys.FINISHED, SINCE)
     initial = {SINCE: 0.0}

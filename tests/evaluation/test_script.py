@@ -1,0 +1,65 @@
+"""evaluate.py as a user calls it: one sentence for bad input, exit code 0 only for a job done."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from resc.build import build, build_stages
+from resc.envs.quadrotor import layout_of
+from resc.learning.checkpoint import save_policy
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def untrained(stored, tmp_path_factory):
+    """The folder of a policy that has learned nothing."""
+    stages = build_stages(stored)
+    width = sum(width for _, width in layout_of(stages))
+    networks = build(stored["model"], "model", observation_width=width, action_width=4)
+    folder = tmp_path_factory.mktemp("policy")
+    save_policy(folder, networks, stages, stored)
+    return folder
+
+
+def evaluate(folder, *overrides):
+    command = [sys.executable, ROOT / "evaluate.py", f"hydra.run.dir={folder}", *overrides]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_unknown_scene_is_answered_with_the_nearest(tmp_path):
+    code, _, said = evaluate(tmp_path, "scenes=[paper1_map1]")
+    assert code == 1
+    assert said.startswith("error: Unknown scene 'paper1_map1'. Did you mean 'paper1_map11'?")
+    assert "Traceback" not in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_start_in_an_obstacle_is_one_sentence(tmp_path, untrained):
+    code, _, said = evaluate(
+        tmp_path, f"policy={untrained}", "scenes=[paper1_map11]", "+scene.start_m=[1.5,4.0,1.0]"
+    )
+    assert code == 1
+    assert said.startswith("error: paper1_map11, flight 0: Start (")
+    assert "is inside an obstacle" in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "summary.json").exists()
+
+
+@pytest.mark.slow
+def test_job_done_exits_with_zero_whatever_came_of_the_flights(tmp_path, untrained):
+    code, told, said = evaluate(
+        tmp_path, f"policy={untrained}", "scenes=[free,paper4_map15]", "flights=2", "recorder=none"
+    )
+    assert code == 0, said
+    assert told.startswith("|")
+    assert json.loads((tmp_path / "summary.json").read_text())["episodes"] == 4

@@ -1,0 +1,148 @@
+import pytest
+import torch
+
+from resc import keys
+from resc.build import build, build_pool
+from resc.errors import ConfigError
+from resc.maps.distance_transform import distance_transform
+from resc.scenes.layout import Layout, rasterize
+from resc.scenes.pool import ScenePool
+
+
+def make_pool(compose, *overrides, size=12, **options):
+    return build_pool(compose(*overrides), size=size, seed=3, **options)
+
+
+@pytest.fixture
+def pool(compose):
+    return make_pool(compose)
+
+
+def straight_to_the_goal(layout):
+    """A stand-in for a planner: the goal is the whole route."""
+    ones = torch.ones(len(layout), 1, dtype=torch.int64)
+    return Layout(layout.boxes_w, layout.origin_w, layout.size, layout.start_w, layout.route_w, ones)
+
+
+def test_the_distance_field_is_that_of_the_boxes(pool):
+    occupied = rasterize(pool.layout.boxes_w, pool.layout.origin_w, pool.shape, 0.1)
+    assert torch.equal(pool.shared[keys.ESDF], distance_transform(occupied, 0.1, 3.0))
+    assert pool.shared[keys.ESDF].max() == 3.0
+
+
+def test_the_same_seed_fills_the_same_pool(compose, pool):
+    again = make_pool(compose)
+    for key, value in {**pool.shared, **pool.tasks}.items():
+        assert torch.equal(value, {**again.shared, **again.tasks}[key])
+
+
+def test_renewal_goes_round_and_touches_the_next_scenes_only(pool):
+    seen = []
+    for _ in range(4):
+        before = {key: value.clone() for key, value in {**pool.shared, **pool.tasks}.items()}
+        entries = pool.renew(5)
+        seen += entries.tolist()
+        kept = [entry for entry in range(12) if entry not in entries]
+        for key, value in {**pool.shared, **pool.tasks}.items():
+            assert torch.equal(value[kept], before[key][kept])
+        assert not torch.equal(pool.tasks[keys.ROUTE_W][entries], before[keys.ROUTE_W][entries])
+        assert not torch.equal(pool.shared[keys.ESDF][entries], before[keys.ESDF][entries])
+    assert seen == [entry % 12 for entry in range(20)]
+
+
+def test_a_renewed_scene_has_the_distance_field_of_its_boxes(pool):
+    pool.renew(7)
+    occupied = rasterize(pool.shared[keys.BOXES_W], pool.shared[keys.MAP_ORIGIN_W], pool.shape, 0.1)
+    assert torch.equal(pool.shared[keys.ESDF], distance_transform(occupied, 0.1, 3.0))
+
+
+@pytest.mark.parametrize("closed", [0, 3, 11])
+@pytest.mark.parametrize("renewed", [0, 5])
+def test_every_open_entry_is_handed_out_and_no_closed_one(pool, closed, renewed):
+    pool.renew(renewed)
+    unit = torch.cat((torch.linspace(0, 1, 2000)[:-1], torch.tensor([1 - 2**-24])))
+    handed_out = set(pool.entry(unit, closed).tolist())
+    next_in_turn = {(renewed + i) % 12 for i in range(closed)}
+    assert handed_out == set(range(12)) - next_in_turn
+
+
+def test_open_entries_are_equally_likely(pool):
+    unit = torch.rand(9000, generator=torch.Generator().manual_seed(0))
+    shares = torch.bincount(pool.entry(unit, 3), minlength=12) / 9000
+    assert (shares[3:] - 1 / 9).abs().max() < 0.02
+
+
+def test_a_pool_that_is_closed_altogether_is_refused(pool):
+    with pytest.raises(ConfigError, match="closed"):
+        pool.entry(torch.zeros(1), 12)
+
+
+def test_a_checkpoint_restores_scenes_and_what_follows(compose, pool):
+    pool.renew(5)
+    state = pool.state()
+    other = make_pool(compose)
+    other.load_state(state)
+    for _ in range(2):
+        for key, value in {**pool.shared, **pool.tasks}.items():
+            assert torch.equal(value, {**other.shared, **other.tasks}[key])
+        assert pool.renew(3).tolist() == other.renew(3).tolist()
+
+
+def test_a_checkpoint_does_not_change_with_the_pool(pool):
+    state = pool.state()
+    before = state["route_w"].clone()
+    pool.renew(12)
+    assert torch.equal(state["route_w"], before)
+
+
+@pytest.mark.parametrize("scene", ["paper1_map11", "random_boxes"])
+def test_scenes_with_nothing_but_a_goal_need_a_planner(compose, scene):
+    with pytest.raises(ConfigError, match="search=visibility"):
+        make_pool(compose, f"scene={scene}", size=2)
+
+
+@pytest.mark.parametrize("scene", ["paper1_map11", "random_boxes"])
+def test_planned_scenes_can_be_renewed(compose, scene):
+    pool = make_pool(compose, f"scene={scene}", size=4, plan=straight_to_the_goal)
+    before = pool.tasks[keys.START_W].clone()
+    assert pool.renew(2).tolist() == [0, 1]
+    assert not torch.equal(pool.tasks[keys.START_W][:2], before[:2])
+    assert torch.equal(pool.tasks[keys.START_W][2:], before[2:])
+
+
+class TwoSizes:
+    """A small and a large map by turns."""
+
+    def sample(self, count, generator):
+        size = torch.tensor([[2.0, 1.0], [3.0, 4.0]]).repeat(count, 1)[:count]
+        return Layout(
+            boxes_w=torch.tensor([[[0.5, 0.5, 0.1, 0.1]]]).expand(count, -1, -1),
+            origin_w=torch.zeros(count, 2),
+            size=size,
+            start_w=torch.zeros(count, 3),
+            route_w=torch.ones(count, 1, 3),
+            route_length=torch.ones(count, 1, dtype=torch.int64),
+        )
+
+
+def test_maps_of_different_size_share_a_pool():
+    pool = ScenePool(TwoSizes(), size=4, resolution_m=0.1, generator=torch.Generator())
+    assert pool.shared[keys.ESDF].shape == (4, 40, 30)
+
+
+def test_routes_of_renewed_scenes_are_padded_and_those_without_room_left_out(compose):
+    planned = iter(([2, 1, 1, 2], [1, 3], [2]))
+
+    def plan(layout):
+        length = torch.tensor(next(planned)).unsqueeze(-1)
+        route = layout.start_w.unsqueeze(1) + torch.arange(float(length.max())).reshape(1, -1, 1)
+        return Layout(layout.boxes_w, layout.origin_w, layout.size, layout.start_w, route, length)
+
+    scene = build(compose("scene=paper1_map11").scene, "scene")
+    pool = ScenePool(scene, size=4, resolution_m=0.1, generator=torch.Generator(), plan=plan)
+    old = pool.tasks[keys.START_W][1].clone()
+    assert pool.renew(2).tolist() == [0]
+    assert torch.equal(pool.tasks[keys.START_W][1], old)
+    assert pool.renew(1).tolist() == [2]
+    assert pool.tasks[keys.ROUTE_LENGTH][:, 0].tolist() == [1, 1, 2, 2]
+    assert pool.tasks[keys.ROUTE_W].shape == (4, 2, 3)

@@ -1,0 +1,185 @@
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from resc.errors import ConfigError
+from resc.math.rotation import quaternion_from_euler
+from resc.term import Context
+from resc.terms.rewards.arrival import Arrival
+from resc.terms.rewards.body_rate import BodyRateNorm
+from resc.terms.rewards.crash import Crash
+from resc.terms.rewards.dynamics_limits import DynamicsLimits
+from resc.terms.rewards.field_of_view import FieldOfView
+from resc.terms.rewards.finish import Finish
+from resc.terms.rewards.progress import Progress
+from resc.terms.rewards.time import Time
+
+LONGEST = 3.0 * 0.02
+"""The longest step [m]: top speed times the control period."""
+
+
+def row(*values):
+    return torch.tensor([values], dtype=torch.float32)
+
+
+def flags(*values):
+    return torch.tensor(values).unsqueeze(-1)
+
+
+def progress(previous, position, target, **options):
+    term = Progress(weight=1.0, **options)
+    term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
+    return float(term.compute(row(*position), row(*previous), row(*target)))
+
+
+def test_full_speed_toward_the_control_point_earns_one():
+    assert progress((0.0, 0.0, 1.0), (LONGEST, 0.0, 1.0), (2.0, 0.0, 1.0)) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_full_speed_away_from_it_costs_one():
+    assert progress((0.0, 0.0, 1.0), (-LONGEST, 0.0, 1.0), (2.0, 0.0, 1.0)) == pytest.approx(-1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 1.0), (2.0, 0.1, 1.0), (2.0, 0.0, 0.4), (2.0, 0.0, 1.9), (2.5, 0.0, 1.2)])
+@pytest.mark.parametrize("radius", [0.5, None])
+def test_hovering_forever_earns_no_progress(place, radius):
+    assert progress(place, place, (2.0, 0.0, 1.0), column_radius_m=radius) == 0.0
+
+
+def test_a_ray_into_the_column_counts_in_full_although_it_misses_the_point():
+    start, target = (0.0, 0.4, 1.0), (2.0, 0.0, 1.0)
+    end = (LONGEST, 0.4, 1.0)
+    assert progress(start, end, target) == pytest.approx(1.0, abs=1e-4)
+    closed = math.dist(start, target) - math.dist(end, target)
+    assert progress(start, end, target, column_radius_m=None) == pytest.approx(closed / LONGEST, abs=1e-4)
+    assert closed / LONGEST < 0.99
+
+
+@pytest.mark.parametrize(
+    ("start", "end"),
+    [
+        ((0.0, 0.6, 1.0), (0.06, 0.6, 1.0)),  # passes beside the column
+        ((0.0, 0.4, 1.3), (0.06, 0.4, 1.3)),  # passes above it
+        ((0.0, 0.4, 1.0), (-0.06, 0.4, 1.0)),  # flies away from it
+        ((1.9, 0.2, 1.1), (1.96, 0.2, 1.1)),  # is inside already
+        ((0.0, 0.1, 1.0), (0.05, 0.1, 1.04)),  # enters the cylinder above the band
+    ],
+)
+def test_a_ray_that_does_not_enter_the_column_aims_at_the_point(start, end):
+    target = (2.0, 0.0, 1.0)
+    closed = math.dist(start, target) - math.dist(end, target)
+    assert progress(start, end, target) == pytest.approx(closed / LONGEST, abs=1e-4)
+
+
+@pytest.mark.parametrize(("height", "drop"), [(1.6, -0.06), (0.5, 0.06)])
+def test_a_ray_through_the_top_or_the_bottom_enters_the_column(height, drop):
+    start, end = (2.2, 0.0, height), (2.2, 0.0, height + drop)
+    assert progress(start, end, (2.0, 0.0, 1.0)) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_slanted_ray_through_the_top_enters_the_column():
+    start = (1.4, 0.0, 1.6)
+    step = LONGEST / math.hypot(0.5, 0.4)  # meets the top, 0.2 m above the point, at x = 1.9
+    end = (1.4 + 0.5 * step, 0.0, 1.6 - 0.4 * step)
+    assert progress(start, end, (2.0, 0.0, 1.0)) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_progress_telescopes_so_loops_earn_nothing():
+    angle = torch.linspace(0, 2 * math.pi, 61)
+    loop = [(float(a.cos()), float(a.sin()), 1.0 + 0.1 * float((2 * a).sin())) for a in angle]
+    total = sum(progress(a, b, (3.0, 0.5, 1.0), column_radius_m=None) for a, b in zip(loop, loop[1:], strict=False))
+    assert total == pytest.approx(0.0, abs=1e-3)
+
+
+def test_progress_sums_to_the_distance_closed():
+    path = [(0.02 * i, 0.3 * math.sin(0.1 * i), 1.0) for i in range(50)]
+    target = (3.0, 0.5, 1.0)
+    total = sum(progress(a, b, target, column_radius_m=None) for a, b in zip(path, path[1:], strict=False))
+    closed = math.dist(path[0], target) - math.dist(path[-1], target)
+    assert total * LONGEST == pytest.approx(closed, abs=1e-5)
+
+
+def test_progress_needs_a_speed_above_zero():
+    with pytest.raises(ConfigError, match="speed_mps is 0"):
+        Progress(weight=1.0, speed_mps=0.0)
+
+
+def test_every_step_costs_one_time():
+    assert_close(Time(weight=3.0).compute(torch.rand(3, 3)), -torch.ones(3, 1))
+
+
+def test_only_an_end_that_is_no_finish_is_a_crash():
+    terminated, finished = flags(True, True, False, False), flags(False, True, False, True)
+    assert Crash(weight=350.0).compute(terminated, finished)[:, 0].tolist() == [-1, 0, 0, 0]
+
+
+def test_only_the_last_passing_finishes():
+    passed, finished = flags(True, True, False, False), flags(False, True, False, True)
+    assert Finish(weight=20.0).compute(passed, finished, torch.rand(4, 3))[:, 0].tolist() == [0, 1, 0, 0]
+
+
+def test_every_passing_is_an_arrival():
+    assert Arrival(weight=10.0).compute(flags(True, False), torch.rand(2, 3))[:, 0].tolist() == [1, 0]
+
+
+def test_every_broken_limit_costs_one():
+    violations = torch.tensor([[0.0], [1.0], [3.0]])
+    assert_close(DynamicsLimits(weight=5.0).compute(violations), -violations)
+
+
+def test_the_norm_of_the_body_rate_is_a_cost():
+    assert_close(BodyRateNorm(weight=0.01).compute(row(2.0, -3.0, 6.0)), row(-7.0))
+
+
+def seen(first, second, yaw=0.0, pitch=0.0, **options):
+    """Whether the field-of-view term sees a control point from the origin, 1 m high."""
+    attitude = quaternion_from_euler(row(0.0, pitch, yaw))
+    points = torch.tensor([[first, second]])
+    reward = FieldOfView(weight=1.0, **options).compute(row(0.0, 0.0, 1.0), attitude, points)
+    assert reward.shape == (1, 1)
+    assert float(reward) in (0.0, -1.0)
+    return float(reward) == 0.0
+
+
+BEHIND = (-3.0, 0.0, 1.0)
+
+
+def at(azimuth_deg, elevation_deg, far=3.0):
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    flat = far * math.cos(elevation)
+    return (flat * math.cos(azimuth), flat * math.sin(azimuth), 1.0 + far * math.sin(elevation))
+
+
+def test_one_control_point_in_sight_is_enough():
+    assert seen(at(0, 0), BEHIND)
+    assert seen(BEHIND, at(0, 0))
+    assert not seen(BEHIND, BEHIND)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sight_ends_at_half_the_angles_of_the_camera(sign):
+    assert seen(at(sign * 44, 0), BEHIND)
+    assert not seen(at(sign * 46, 0), BEHIND)
+    assert seen(at(0, sign * 29), BEHIND)
+    assert not seen(at(0, sign * 30), BEHIND)
+
+
+def test_the_camera_turns_and_tips_with_the_body():
+    assert seen(at(90, 0), BEHIND, yaw=math.radians(80))
+    assert not seen(at(0, 0), BEHIND, yaw=math.radians(80))
+    assert not seen(at(0, 0), BEHIND, pitch=math.radians(35))
+    assert seen(at(0, -35), BEHIND, pitch=math.radians(35))
+
+
+def test_a_control_point_too_near_to_have_a_direction_counts_as_seen():
+    assert seen((-0.3, 0.0, 1.0), BEHIND)
+    assert not seen((-0.3, 0.0, 1.0), BEHIND, blind_m=0.2)
+    assert seen((0.0, 0.0, 1.0), BEHIND)
+
+
+@pytest.mark.parametrize("wrong", [{"horizontal_rad": 0.0}, {"vertical_rad": 4.0}])
+def test_impossible_angles_of_view_are_refused(wrong):
+    with pytest.raises(ConfigError, match="horizontal_rad"):
+        FieldOfView(weight=1.0, **wrong)

@@ -1,0 +1,52 @@
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from resc.errors import ConfigError
+from resc.math.rotation import quaternion_from_euler
+from resc.terms.sensors.euler import Euler
+from resc.terms.sensors.limit_violations import LimitViolations
+from resc.terms.sensors.surface_clearance import SurfaceClearance
+
+
+def row(*values):
+    return torch.tensor([values])
+
+
+def violations(speed=0.0, acceleration=0.0, roll=0.0, pitch=0.0, yaw=0.0):
+    term = LimitViolations(speed_mps=3.0, acceleration_mps2=6.0, tilt_rad=0.6545)
+    return float(term.compute(row(0.0, speed, 0.0), row(0.0, 0.0, -acceleration), row(roll, pitch, yaw)))
+
+
+def test_each_broken_limit_counts_once():
+    assert violations(speed=2.9, acceleration=5.9, roll=0.65, pitch=-0.65, yaw=3.0) == 0
+    assert violations(speed=3.1) == 1
+    assert violations(acceleration=6.1) == 1
+    assert violations(roll=-0.66) == 1
+    assert violations(roll=0.66, pitch=0.66) == 1
+    assert violations(speed=3.1, acceleration=6.1, pitch=0.66) == 3
+
+
+def test_limits_hold_for_norms_not_for_single_axes():
+    term = LimitViolations()
+    assert float(term.compute(row(2.5, 2.5, 0.0), row(5.0, 5.0, 0.0), row(0.0, 0.0, 0.0))) == 2
+
+
+@pytest.mark.parametrize("name", ["speed_mps", "acceleration_mps2", "tilt_rad"])
+def test_limits_must_be_positive(name):
+    with pytest.raises(ConfigError):
+        LimitViolations(**{name: 0.0})
+
+
+def test_euler_angles_come_from_the_attitude():
+    euler = row(0.2, -0.4, 3.0)
+    assert_close(Euler().compute(quaternion_from_euler(euler)), euler)
+
+
+def test_surface_clearance_is_exact_signed_and_from_the_own_map():
+    boxes = torch.tensor([[[1.0, 0.0, 1.0, 1.0], [5.0, 5.0, 1.0, 1.0]], [[0.0, 0.0, 2.0, 2.0], [1e6, 1e6, 0.0, 0.0]]])
+    position = torch.tensor([[0.0, 0.5, 1.0], [0.5, 1.0, 1.0], [5.0, 6.0, 0.0]])
+    clearance = SurfaceClearance().compute(position, torch.tensor([[0], [1], [1]]), boxes)
+    assert_close(clearance, torch.tensor([[1.0], [-0.5], [math.hypot(3, 4)]]))
