@@ -1,4 +1,4 @@
-"""Compares the compiled with the uncompiled environment; run by test_compiled.py in a process of its own.
+"""What test_compiled.py runs in a process of its own: `graph` or `compare`.
 
 The wrappers of the tests' type checker cannot be traced by torch.compile, and an imported module cannot get rid of them.
 """
@@ -17,23 +17,37 @@ from resc.build import build_env, build_pool
 ROWS = 3
 
 
-def main(overrides):
-    torch.set_num_threads(1)
+def make_env(*, compiled):
     resc.schema.register()
     with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
-        config = compose("train", [f"num_envs={ROWS}", *overrides])
-    eager, compiled = (
-        build_env({**config, "compile": compile}, build_pool(config, size=8, seed=0)) for compile in (False, True)
-    )
+        config = compose("train", [f"num_envs={ROWS}", f"compile={compiled}"])
+    return build_env(config, build_pool(config, size=8, seed=0))
+
+
+def graph():
+    """Traces the step without compiling it: one graph, or an error."""
+    env = make_env(compiled=False)
+    env.restart(torch.arange(ROWS))
+    world = {key: env.value_of(key) for key in env.stages.persistent}
+    step = torch.compile(env.stages.step, fullgraph=True, dynamic=False, backend="eager")
+    with torch.no_grad():
+        traced = step(world, env.pool.shared, torch.zeros(ROWS, 4))
+        plain = env.stages.step(world, env.pool.shared, torch.zeros(ROWS, 4))
+    same("observation", traced[1].observation, plain[1].observation)
+
+
+def compare():
+    """Flies the compiled and the uncompiled environment side by side, each step from the same world."""
+    eager, compiled = make_env(compiled=False), make_env(compiled=True)
     everyone = torch.arange(ROWS)
-    same("restart", eager.restart(everyone), compiled.restart(everyone))
+    same("restart", compiled.restart(everyone), eager.restart(everyone))
     generator = torch.Generator().manual_seed(0)
     for _ in range(4):
         compiled.world = eager.world
         action = 2 * torch.rand(ROWS, 4, generator=generator) - 1
-        out, expected = compiled.advance(action), eager.advance(action)
-        for name in expected._fields:
-            same(name, getattr(out, name), getattr(expected, name))
+        ours, theirs = compiled.advance(action), eager.advance(action)
+        for name in theirs._fields:
+            same(name, getattr(ours, name), getattr(theirs, name))
         for key in eager.stages.persistent:
             same(key, compiled.value_of(key), eager.value_of(key))
     before = compiled.world.clone()
@@ -44,9 +58,10 @@ def main(overrides):
 
 
 def same(name, ours, theirs):
-    """Close, for rounding differs when operations are fused; flags and counts are equal."""
+    """Close, for rounding differs where operations are fused; flags and counts are equal."""
     assert_close(ours, theirs, atol=2e-5, rtol=2e-5, msg=lambda text: f"{name}: {text}")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    torch.set_num_threads(1)
+    {"graph": graph, "compare": compare}[sys.argv[1]]()

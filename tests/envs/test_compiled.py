@@ -1,0 +1,24 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).with_name("compiled_flight.py")
+ROOT = Path(__file__).parents[2]
+
+
+def run(what):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, SCRIPT, what], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-4000:]
+
+
+def test_the_step_is_one_graph():
+    run("graph")
+
+
+@pytest.mark.slow  # some 45 s for the compiler, once; 15 s from its cache
+def test_the_compiled_environment_agrees_with_the_uncompiled_one_and_with_its_specs():
+    run("compare")
