@@ -7,9 +7,9 @@ no foreign code.
 import difflib
 import importlib
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any, cast, get_args, get_origin
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -24,6 +24,8 @@ from resc.term import Context, Observation, Reward, Term
 
 ALLOWED = ("resc.", "torch.optim.")
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
+FUNCTIONS = ("resc.learning.networks.build_networks",)
+"""Our only targets that are functions: others, `build` for one, would build what they are told."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -49,7 +51,7 @@ def build(
         ConfigError: The target is unknown or not allowed, an argument is unknown, missing, of the
             wrong type or out of range.
     """
-    if not isinstance(config, Mapping | DictConfig) or "_target_" not in config:
+    if not isinstance(config, Mapping) or "_target_" not in config:
         raise ConfigError(
             f"{path} has no _target_; name the class to build, e.g. "
             "resc.terms.rewards.progress.Progress."
@@ -66,7 +68,7 @@ def build(
             raise ConfigError(
                 f"{path}.{name} is not an argument of {target.__name__}.{nearest(name, known)}"
             )
-        _check_type(f"{path}.{name}", value, parameters[name].annotation)
+        arguments[name] = _checked(f"{path}.{name}", value, parameters[name].annotation)
     missing = [
         n for n in known if parameters[n].default is inspect.Parameter.empty and n not in arguments
     ]
@@ -93,12 +95,16 @@ def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise ConfigError(f"{path}._target_ is '{target}', but {error}.") from None
-    if not callable(getattr(module, name, None)):
+    found = getattr(module, name, None)
+    if not callable(found):
         raise ConfigError(
             f"{path}._target_ is '{target}'; {module_name} has no "
             f"'{name}'.{nearest(name, _public(module))}"
         )
-    return getattr(module, name)
+    ours = inspect.isclass(found) and found.__module__.startswith(ALLOWED)
+    if target.startswith(ALLOWED) and not ours and target not in FUNCTIONS:
+        raise ConfigError(f"{path}._target_ is '{target}', which is no class of ours; name one.")
+    return found
 
 
 def build_terms(
@@ -123,6 +129,9 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
     from resc import term as kinds  # the kinds by name; a flat import list would repeat them
 
     allowed = config.get("allowed_targets", ())
+    for name in ("dt_s", "resolution_m"):
+        if not config["env"][name] > 0:
+            raise ConfigError(f"env.{name} is {config['env'][name]}; expected a number above zero.")
     vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
     context = Context(
         dt_s=config["env"]["dt_s"], resolution_m=config["env"]["resolution_m"], vehicle=vehicle
@@ -195,7 +204,7 @@ def load_config(path: Path) -> DictConfig:
         raise ConfigError(
             f"{path} does not exist; give the folder of a finished run or of a shipped policy."
         )
-    return OmegaConf.load(path)
+    return cast(DictConfig, OmegaConf.load(path))  # what we stored is a mapping, never a list
 
 
 def _in_layout(observations: list[Observation], layout: Iterable[str]) -> list[Observation]:
@@ -212,26 +221,27 @@ def _public(module: Any) -> list[str]:
     return [
         name
         for name, value in vars(module).items()
-        if inspect.isclass(value) and not name.startswith("_")
+        if inspect.isclass(value) and value.__module__ == module.__name__ and name[0] != "_"
     ]
 
 
-def _check_type(path: str, value: Any, annotation: Any) -> None:
-    """Numbers must be numbers: a string where a number is expected is a typo, not a wish."""
+def _checked(path: str, value: Any, annotation: Any) -> Any:
+    """The value as its annotation wants it: a string where a number is expected is a typo."""
     if annotation in (float, int):
         wanted = (int, float) if annotation is float else (int,)
         if isinstance(value, bool) or not isinstance(value, wanted):
-            raise ConfigError(
-                f"{path} is {value!r}; expected "
-                f"{'a number' if annotation is float else 'a whole number'}."
-            )
+            expected = "a number" if annotation is float else "a whole number"
+            raise ConfigError(f"{path} is {value!r}; expected {expected}.")
         if value != value:
             raise ConfigError(f"{path} is not a number (NaN); give a finite one.")
-    elif annotation is bool and not isinstance(value, bool):
+        return annotation(value)
+    if annotation is bool and not isinstance(value, bool):
         raise ConfigError(f"{path} is {value!r}; expected true or false.")
-    elif (
-        get_origin(annotation) is not None
-        and float in get_args(annotation)
-        and isinstance(value, str)
-    ):
-        raise ConfigError(f"{path} is {value!r}; expected numbers.")
+    if get_origin(annotation) is Sequence:
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"{path} is {value!r}; expected a list.")
+        (item,) = get_args(annotation)
+        return [_checked(f"{path}[{number}]", part, item) for number, part in enumerate(value)]
+    if float in get_args(annotation) and value is not None:
+        return _checked(path, value, float)
+    return value

@@ -1,6 +1,6 @@
 """The protocol of every swappable part: keys in, tensors through `compute`, keys out."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -38,7 +38,7 @@ class Term(TensorDictModuleBase):
 
     reads: ClassVar[tuple[NestedKey, ...]] = ()
     writes: ClassVar[tuple[NestedKey, ...]] = ()
-    initial: ClassVar[Mapping[NestedKey, float]] = {}
+    initial: Mapping[NestedKey, float] = {}
     group: ClassVar[str] = ""
     draws: int = 0
     name: str = ""
@@ -55,8 +55,9 @@ class Term(TensorDictModuleBase):
     def named(self, name: str) -> "Term":
         """Gives the term its configured name and, with it, its keys."""
         self.name = name
-        self.in_keys = list(self.reads)
-        self.out_keys = list(self.outputs)
+        # tensordict annotates its keys as tuples of exactly one string, but takes any length.
+        self.in_keys = list(self.reads)  # pyright: ignore[reportAttributeAccessIssue]
+        self.out_keys = list(self.outputs)  # pyright: ignore[reportAttributeAccessIssue]
         return self
 
     @property
@@ -101,6 +102,7 @@ class Observation(Term):
 
     group = "observation"
     columns: ClassVar[tuple[str, ...]] = ()
+    compute: Callable[..., Tensor]
 
     def __init__(self, *, scale: float = 1.0) -> None:
         super().__init__()
@@ -150,6 +152,7 @@ class Metric(Term):
     unit: ClassVar[str] = "-"
     start: ClassVar[float] = 0.0
     freezes_at_finish: ClassVar[bool] = True
+    compute: Callable[..., Tensor]
 
 
 def uniform_between(unit: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor:

@@ -35,8 +35,6 @@ class QuadrotorEnv(EnvBase):
         closed: Entries of the pool, next in turn for renewal, that no episode starts in.
     """
 
-    batch_locked = True
-
     def __init__(
         self,
         stages: Stages,
@@ -51,7 +49,7 @@ class QuadrotorEnv(EnvBase):
     ) -> None:
         if num_envs < 1:
             raise ConfigError(f"num_envs is {num_envs}; expected at least 1.")
-        super().__init__(device=torch.device(device), batch_size=[num_envs])
+        super().__init__(device=torch.device(device), batch_size=torch.Size((num_envs,)))
         self.stages = stages.to(device)
         self.pool = pool
         self.num_envs = num_envs
@@ -210,15 +208,16 @@ class QuadrotorEnv(EnvBase):
 
     def _make_specs(self) -> None:
         n, device = self.num_envs, self.device
-        width = self.observation_width
+        width, column = self.observation_width, torch.Size((n, 1))
+        actions = torch.Size((n, self.stages.terms.action.width))
         self.observation_spec = Composite(
-            observation=Unbounded((n, width), device=device),
-            outcome=Unbounded((n, 1), dtype=torch.int64, device=device),
+            observation=Unbounded(torch.Size((n, width)), device=device),
+            outcome=Unbounded(column, dtype=torch.int64, device=device),
             shape=(n,),
         )
-        self.action_spec = Bounded(-1.0, 1.0, (n, self.stages.terms.action.width), device=device)
-        self.reward_spec = Unbounded((n, 1), device=device)
-        flag = Categorical(2, shape=(n, 1), dtype=torch.bool, device=device)
+        self.action_spec = Bounded(-1.0, 1.0, actions, device=device)
+        self.reward_spec = Unbounded(column, device=device)
+        flag = Categorical(2, shape=column, dtype=torch.bool, device=device)
         self.done_spec = Composite(
             done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)
         )

@@ -1,6 +1,6 @@
 """The control step and the reset as pure functions of tensors, assembled from terms."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -48,7 +48,7 @@ class Terms:
     randomizations: Sequence[Randomization] = field(default_factory=tuple)
     metrics: Sequence[Metric] = field(default_factory=tuple)
 
-    def __iter__(self) -> Iterable[Term]:
+    def __iter__(self) -> Iterator[Term]:
         """Every term, in the order of a step, the reset's terms first."""
         yield from self.randomizations
         yield self.initial_state

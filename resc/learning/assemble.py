@@ -81,5 +81,6 @@ def fly_held_out(config: DictConfig, folder: Path) -> Flights:
     pool = build_pool(
         config, size=episodes, seed=seed, device=config["device"], plan=planner_for(config)
     )
-    env = build_env({**config, "num_envs": episodes}, pool, seed=seed, in_order=True)
+    ours = {str(key): value for key, value in config.items()} | {"num_envs": episodes}
+    env = build_env(ours, pool, seed=seed, in_order=True)
     return fly(env, load_policy(folder, config["device"]), trace=False)

@@ -26,6 +26,7 @@ class GaussianHead(nn.Module):
     def forward(
         self, observation: Float[Tensor, "*n d"]
     ) -> tuple[Float[Tensor, "*n a"], Float[Tensor, "*n a"]]:
+        """Mean and standard deviation, in action units."""
         mean = self.body(observation)
         return mean, self.log_std.exp().expand_as(mean)
 
@@ -40,7 +41,8 @@ class Networks:
     @property
     def head(self) -> GaussianHead:
         """The policy without its distribution."""
-        return self.actor[0].module
+        # A sequence does not tell what its modules wrap; `build_networks` put the head there.
+        return self.actor[0].module  # pyright: ignore[reportReturnType]
 
     def parameters(self) -> list[nn.Parameter]:
         """All weights, policy first."""

@@ -7,6 +7,7 @@ acting and updating are compiled.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from tensordict import TensorDict
@@ -160,7 +161,7 @@ class Ppo:
         self.statistics.begin_batch(self.iteration * self.settings.steps)
         self._terminal: list[tuple[int, Tensor, Tensor]] = []
         for t in range(self.settings.steps):
-            row = batch[t]
+            row = cast(TensorDict, batch[t])
             noise = torch.randn(row["action"].shape, generator=self.noise, device=env.device)
             action, log_prob, value = self._act(env.observation, noise)
             row["observation"].copy_(env.observation)
@@ -211,7 +212,7 @@ class Ppo:
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         names = ("observation", "action", "action_log_prob", "advantage", "value_target")
-        flat = {name: self.batch[name].flatten(0, 1) for name in names}
+        flat = {name: cast(Tensor, self.batch[name]).flatten(0, 1) for name in names}
         sums = torch.zeros(5, device=self.env.device)
         count = 0
         for _ in range(settings.epochs):
@@ -305,7 +306,8 @@ class Ppo:
         }
         floats = {name: torch.zeros(*shape, width, device=device) for name, width in widths.items()}
         states = {
-            key: torch.zeros(*shape, *keys.DECLARED[key].shape, device=device) for key in RECORDED
+            key: torch.zeros(*shape, *map(int, keys.DECLARED[key].shape), device=device)
+            for key in RECORDED
         }
         log_prob = {"action_log_prob": torch.zeros(shape, device=device)}
         return TensorDict(

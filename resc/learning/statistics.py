@@ -52,7 +52,10 @@ class EpisodeStatistics:
 
     def episodes(self) -> TensorDict | None:
         """The episodes that finished in this batch [e], for the recorder."""
-        return torch.cat(self.finished) if self.finished else None
+        if not self.finished:
+            return None
+        # torch.cat is annotated for tensors alone; tensordict makes it take its own.
+        return torch.cat(self.finished)  # pyright: ignore[reportArgumentType, reportReturnType]
 
     def rates(self) -> dict[str, float]:
         """Share of each outcome, mean return and length over the last finished episodes.

@@ -76,7 +76,7 @@ def train(
             began = time.monotonic()
             figures = trainer.iterate()
             try:
-                _record(trainer, recorder)
+                record_batch(trainer, recorder)
             except RecordingError as error:
                 _save_in_need(trainer, folder, error)
                 raise
@@ -104,7 +104,8 @@ def _save_in_need(trainer: Ppo, folder: Path, error: RecordingError) -> None:
         )
 
 
-def _record(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
+def record_batch(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
+    """Hands the batch just flown to the recorder, with the scenes renewed after it."""
     if recorder is None:
         return
     start = trainer.statistics.start_step
@@ -117,7 +118,7 @@ def _record(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
 
 def _reward_terms(trainer: Ppo) -> dict[str, float]:
     """Mean weighted reward per step, by term."""
-    means = trainer.batch["reward_terms"].mean((0, 1)).tolist()
+    means = cast(Tensor, trainer.batch["reward_terms"]).mean((0, 1)).tolist()
     names = [term.name for term in trainer.env.stages.terms.rewards]
     return {f"reward/{name}": mean for name, mean in zip(names, means, strict=True)}
 

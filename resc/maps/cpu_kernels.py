@@ -72,11 +72,10 @@ def _sweep(field, x, y, ux, uy, radius, side, guide_reach, guide_blocked, ox, oy
     while F((k - 1) * step) < _SECTOR:
         ux, uy = ux * turn_x - uy * turn_y, uy * turn_x + ux * turn_y
         reach, blocked = _cast(field, x, y, F(ux), F(uy), radius, ox, oy, sx, sy, per_m)
-        if guide_blocked:
-            if (blocked and reach - last_reach > _GAP) or (
-                not blocked and radius - reach < _REACHED
-            ):
-                break
+        if guide_blocked and (
+            (blocked and reach - last_reach > _GAP) or (not blocked and radius - reach < _REACHED)
+        ):
+            break
         if not guide_blocked or blocked:
             hit_x, hit_y, last_reach = x + reach * F(ux), y + reach * F(uy), reach
         if blocked and not guide_blocked:

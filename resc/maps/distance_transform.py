@@ -14,7 +14,7 @@ def distance_transform(
     lower envelope over the columns, min over k of (g(y + k)^2 + k^2). Truncation bounds |k|, so its
     cost is P H W min(H, truncation). An empty map holds the truncation, or infinity without one.
     """
-    _, height, width = occupied.shape
+    height = occupied.shape[1]
     reach = height if truncation_m is None else min(height, int(truncation_m / resolution_m) + 1)
     squared = _row_distance(occupied).square()
     best = squared.clone()

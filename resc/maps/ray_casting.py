@@ -87,7 +87,7 @@ def _cast_on_cpu(
     arrays = [
         t.contiguous().numpy() for t in (esdf, index, origin, size, here, heading, reach, result)
     ]
-    cpu_kernels.cast_batch(*arrays, resolution, torch.get_num_threads())
+    cpu_kernels.cast_batch(*arrays, resolution=resolution, threads=torch.get_num_threads())
     return result
 
 
@@ -111,7 +111,7 @@ def _guided_on_cpu(
     arrays = [
         t.contiguous().numpy() for t in (esdf, index, origin, size, here, offset, radius, result)
     ]
-    cpu_kernels.guided_batch(*arrays, resolution, torch.get_num_threads())
+    cpu_kernels.guided_batch(*arrays, resolution=resolution, threads=torch.get_num_threads())
     return result
 
 
@@ -221,7 +221,7 @@ def _corner(
     y: Float[Tensor, "2 n"],
     nearest: Bool[Tensor, " n"],
 ) -> tuple[Float[Tensor, "2 n"], Float[Tensor, "2 n"]]:
-    """Corner of (x, y)'s cell at the least (or greatest) angle to the guide, from the vehicle [m]."""
+    """Corner of (x, y)'s cell at the least (or greatest) angle to the guide, from here [m]."""
     resolution, origin = field.resolution_m, field.origin_w
     west = ((x - origin[:, 0]) / resolution).floor() * resolution + origin[:, 0] - here[:, 0]
     south = ((y - origin[:, 1]) / resolution).floor() * resolution + origin[:, 1] - here[:, 1]

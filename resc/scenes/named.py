@@ -33,8 +33,16 @@ class NamedScene:
     ) -> None:
         for number, box in enumerate(boxes):
             if len(box) != 4 or min(box[2:]) <= 0:
-                raise ConfigError(f"boxes[{number}] is {list(box)}; expected [x, y, len_x, len_y] with lengths above zero.")
-        lists = {"start_m": (start_m, 3), "goal_m": (goal_m, 3), "origin_m": (origin_m, 2), "size_m": (size_m, 2)}
+                raise ConfigError(
+                    f"boxes[{number}] is {list(box)}; expected [x, y, len_x, len_y] with lengths "
+                    "above zero."
+                )
+        lists = {
+            "start_m": (start_m, 3),
+            "goal_m": (goal_m, 3),
+            "origin_m": (origin_m, 2),
+            "size_m": (size_m, 2),
+        }
         for name, (numbers, count) in lists.items():
             if len(numbers) != count:
                 raise ConfigError(f"{name} is {list(numbers)}; expected {count} numbers.")
@@ -42,7 +50,8 @@ class NamedScene:
             inside = all(o <= c < o + s for c, o, s in zip(point, origin_m, size_m, strict=False))
             if not inside:
                 raise ConfigError(
-                    f"{name} is {list(point)}, outside the map from {list(origin_m)}, {list(size_m)} m large; move it inside."
+                    f"{name} is {list(point)}, outside the map from {list(origin_m)}, "
+                    f"{list(size_m)} m large; move it inside."
                 )
         if jitter_m < 0:
             raise ConfigError(f"jitter_m is {jitter_m}; expected zero or more.")

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import fields
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -22,8 +23,8 @@ CHUNK = 32
 class ScenePool:
     """Many scenes with their distance fields, laid out once and renewed piece by piece.
 
-    Renewal goes round the pool. The entries next in turn are closed to new episodes well before, so that hardly an episode is
-    still in them; `retired` tells which are.
+    Renewal goes round the pool. The entries next in turn are closed to new episodes well before, so
+    that hardly an episode is still in them; `retired` tells which are.
 
     Args:
         scene: What lays the scenes out.
@@ -55,7 +56,8 @@ class ScenePool:
         esdf = self._transform(self.layout)
         self.shared: dict[NestedKey, Tensor] = {
             keys.ESDF: esdf.to(device),
-            keys.MAP_ORIGIN_W: self.layout.origin_w.clone().to(device),  # clone: a scene may share one row among all
+            # clone: a scene may share one row among all
+            keys.MAP_ORIGIN_W: self.layout.origin_w.clone().to(device),
             keys.MAP_SIZE: self.layout.size.clone().to(device),
             keys.BOXES_W: self.layout.boxes_w.clone().to(device),
         }
@@ -72,7 +74,9 @@ class ScenePool:
         """Maps uniform numbers to open entries: all but the `closed` next in turn for renewal."""
         open_entries = len(self) - closed
         if open_entries < 1:
-            raise ConfigError(f"closed is {closed} of {len(self)} scenes; expected fewer, so that episodes can begin.")
+            raise ConfigError(
+                f"closed is {closed} of {len(self)} scenes; expected fewer, for episodes to begin."
+            )
         offset = (unit * open_entries).long().clamp(max=open_entries - 1)
         return (self.head + closed + offset) % len(self)
 
@@ -98,11 +102,14 @@ class ScenePool:
         layout = {name: by_name[name].cpu().clone() for name in names}
         return {**layout, "head": self.head, "generator": self.generator.get_state()}
 
-    def load_state(self, state: dict[str, Tensor | int]) -> None:
+    def load_state(self, state: dict[str, Any]) -> None:
         """Takes a checkpoint's scenes."""
         self.generator.set_state(state["generator"])
         self.head = int(state["head"])
-        fields = {name: state[name] for name in ("boxes_w", "origin_w", "size", "start_w", "route_w", "route_length")}
+        fields = {
+            name: state[name]
+            for name in ("boxes_w", "origin_w", "size", "start_w", "route_w", "route_length")
+        }
         self._write(torch.arange(len(self)), Layout(**fields))
 
     def _write(self, entries: Tensor, layout: Layout) -> None:
@@ -125,12 +132,17 @@ class ScenePool:
         if (layout.route_length > 0).all():
             return layout
         if self.plan is None:
-            raise ConfigError(f"{type(self.scene).__name__} knows no route, only a goal; give it a planner (search=visibility).")
+            raise ConfigError(
+                f"{type(self.scene).__name__} knows no route, only a goal; give it a planner "
+                "(search=visibility)."
+            )
         return self.plan(layout)
 
     def _transform(self, layout: Layout) -> Float[Tensor, "p h w"]:
         parts = []
-        for boxes, origin in zip(layout.boxes_w.split(CHUNK), layout.origin_w.split(CHUNK), strict=True):
+        for boxes, origin in zip(
+            layout.boxes_w.split(CHUNK), layout.origin_w.split(CHUNK), strict=True
+        ):
             occupied = rasterize(boxes, origin, self.shape, self.resolution_m)
             parts.append(distance_transform(occupied, self.resolution_m, TRUNCATION_M))
         return torch.cat(parts)

@@ -11,10 +11,10 @@ from resc.scenes.layout import PARKED_M, Layout
 
 
 class RandomBoxes:
-    """Boxes anywhere on the map, none within `keep_clear_m` of start and goal (facts 10, which lets them overlap both).
+    """Boxes anywhere on the map, none within `keep_clear_m` of start and goal.
 
-    Lower-left corners are uniform over the map less a border of 1 m, sides uniform in `side_m`; a box that leaves the map is
-    left out.
+    Lower-left corners are uniform over the map less a border of 1 m, sides uniform in `side_m`; a
+    box that leaves the map is left out (facts 10, which lets boxes overlap start and goal).
 
     Args:
         boxes: How many are proposed.
@@ -39,9 +39,15 @@ class RandomBoxes:
     ) -> None:
         if boxes < 1:
             raise ConfigError(f"boxes is {boxes}; expected at least 1.")
+        for name, numbers in (("side_m", side_m), ("size_m", size_m)):
+            if len(numbers) != 2 or min(numbers) <= 0:
+                raise ConfigError(f"{name} is {list(numbers)}; expected two numbers above zero.")
         for name, point in (("start_m", start_m), ("goal_m", goal_m)):
             if not all(-side / 2 <= c < side / 2 for c, side in zip(point, size_m, strict=False)):
-                raise ConfigError(f"{name} is {list(point)}, outside the map of {list(size_m)} m about the origin; move it inside.")
+                raise ConfigError(
+                    f"{name} is {list(point)}, outside the map of {list(size_m)} m about "
+                    "the origin; move it inside."
+                )
         self.boxes = boxes
         self.side_m = side_m
         self.size_m = torch.tensor(list(size_m), dtype=torch.float32)
@@ -54,11 +60,13 @@ class RandomBoxes:
         """Lays out `count` fields."""
         half = self.size_m / 2
         corner = (uniform((count, self.boxes, 2), -1, 1, generator)) * (half - 1)
-        lengths = uniform((count, self.boxes, 2), *self.side_m, generator)
+        lengths = uniform((count, self.boxes, 2), *self.side_m, generator=generator)
         boxes = torch.cat((corner, lengths), -1)
         fits = ((corner + lengths) <= half).all(-1)
         for point in (self.start_m, self.goal_m):
-            fits &= box_distance(point[:2].expand(count, 2), boxes) >= self.keep_clear_m + self.jitter_m
+            fits &= (
+                box_distance(point[:2].expand(count, 2), boxes) >= self.keep_clear_m + self.jitter_m
+            )
         parked = torch.tensor([PARKED_M, PARKED_M, 0.0, 0.0])
         offset = torch.zeros(count, 3)
         offset[:, :2] = uniform((count, 2), -self.jitter_m, self.jitter_m, generator)

@@ -62,7 +62,16 @@ class TrainingScene:
         start_guard_m: float = 0.6,
     ) -> None:
         if points < 1 or not 0 <= boxes <= proposals:
-            raise ConfigError(f"points is {points}, boxes {boxes}, proposals {proposals}; expected 1 <= points, 0 <= boxes <= proposals.")
+            raise ConfigError(
+                f"points is {points}, boxes {boxes}, proposals {proposals}; expected 1 <= points, "
+                "0 <= boxes <= proposals."
+            )
+        ranges = {"spacing_m": spacing_m, "side_m": side_m, "wall_m": wall_m}
+        for name, numbers in ranges.items():
+            if len(numbers) != 2 or not 0 < numbers[0] <= numbers[1]:
+                raise ConfigError(
+                    f"{name} is {list(numbers)}; expected [least, greatest], above 0."
+                )
         if 2 * points * spacing_m[1] > size_m - 2:
             raise ConfigError(
                 f"size_m is {size_m}; {points} control points up to {spacing_m[1]} m apart need "
@@ -89,8 +98,10 @@ class TrainingScene:
         path = self._route(count, generator)
         return self._layout(path, self._boxes(path[..., :2], generator))
 
-    def _boxes(self, path: Float[Tensor, "p r 2"], generator: torch.Generator) -> Float[Tensor, "p k 4"]:
-        """The first boxes [m] among the proposed ones that leave the guarded path free, the rest parked."""
+    def _boxes(
+        self, path: Float[Tensor, "p r 2"], generator: torch.Generator
+    ) -> Float[Tensor, "p k 4"]:
+        """The first proposed boxes [m] that leave the guarded path free, the rest parked."""
         parked = torch.tensor([PARKED_M, PARKED_M, 0.0, 0.0])
         if self.boxes == 0:
             return parked.expand(path.shape[0], 1, 4)
@@ -120,7 +131,7 @@ class TrainingScene:
         """Start and control points [m]."""
         turns = uniform((count, self.points), -self.turn_rad, self.turn_rad, generator)
         turns[:, 0] = uniform((count,), -math.pi, math.pi, generator)
-        legs = uniform((count, self.points), *self.spacing_m, generator)
+        legs = uniform((count, self.points), *self.spacing_m, generator=generator)
         heading = turns.cumsum(1)
         steps = torch.stack((heading.cos() * legs, heading.sin() * legs), -1)
         centre = torch.full((count, 1, 2), self.size_m / 2)
@@ -157,8 +168,8 @@ class TrainingScene:
         angle = uniform(shape, -math.pi, math.pi, generator)
         offset = uniform(shape, 0, self.offset_m, generator)
         centre = on_line + torch.stack((angle.cos(), angle.sin()), -1) * offset.unsqueeze(-1)
-        sides = uniform((*shape, 2), *self.side_m, generator)
-        length = uniform(shape, *self.wall_m, generator)
+        sides = uniform((*shape, 2), *self.side_m, generator=generator)
+        length = uniform(shape, *self.wall_m, generator=generator)
         kind = uniform(shape, 0, 1, generator)
         across = torch.stack(
             (torch.where(kind < self.walls / 2, length, sides[..., 0]), sides[..., 1]), -1

@@ -22,6 +22,7 @@ class RateLoop(Term):
 
     reads = (keys.COLLECTIVE_THRUST, keys.BODY_RATE_COMMAND_B, keys.BODY_RATE_B)
     writes = (keys.ROTOR_COMMAND,)
+    gains: Tensor
 
     def __init__(self, *, gains: Sequence[float]) -> None:
         super().__init__()
@@ -45,6 +46,8 @@ class NormalizedRateLoop(RateLoop):
         torque_ratio: Yaw torque per thrust that the allocator believes in [m].
     """
 
+    mix: Tensor
+
     def __init__(
         self,
         *,
@@ -53,10 +56,12 @@ class NormalizedRateLoop(RateLoop):
         torque_ratio: float | None = None,
     ) -> None:
         super().__init__(gains=gains)
-        low, high = throttle_range
-        if not 0 <= low < high <= 1:
-            raise ConfigError(f"throttle_range is [{low}, {high}]; expected 0 <= low < high <= 1.")
-        self.throttle_range = (low, high)
+        if len(throttle_range) != 2 or not 0 <= throttle_range[0] < throttle_range[1] <= 1:
+            raise ConfigError(
+                f"throttle_range is {list(throttle_range)}; expected [low, high], "
+                "0 <= low < high <= 1."
+            )
+        self.throttle_range = tuple(throttle_range)
         self.torque_ratio = torque_ratio
 
     def bind(self, context: Context) -> None:
@@ -79,6 +84,8 @@ class NormalizedRateLoop(RateLoop):
 
 class TorqueRateLoop(RateLoop):
     """Rotor thrust [N] from the torque set-point read as N m: f = A^-1 [F, tau], clamped."""
+
+    inverse: Tensor
 
     def bind(self, context: Context) -> None:
         """Inverts the allocation matrix of the nominal vehicle."""

@@ -1,6 +1,7 @@
 """What test_compiled.py runs in a process of its own: `graph` or `compare`.
 
-The wrappers of the tests' type checker cannot be traced by torch.compile, and an imported module cannot get rid of them.
+torch.compile cannot trace the wrappers of the tests' type checker, and an imported module cannot
+get rid of them.
 """
 
 import sys
@@ -37,7 +38,7 @@ def graph():
 
 
 def compare():
-    """Flies the compiled and the uncompiled environment side by side, each step from the same world."""
+    """Flies the compiled and the uncompiled environment, each step from the same world."""
     eager, compiled = make_env(compiled=False), make_env(compiled=True)
     everyone = torch.arange(ROWS)
     same("restart", compiled.restart(everyone), eager.restart(everyone))

@@ -69,7 +69,9 @@ def test_setting_the_seed_again_begins_the_draws_anew(make_env):
 
 
 def test_an_environment_reset_alone_leaves_the_others_untouched_bit_for_bit(make_env):
-    env = started(make_env("metric=[path_length,top_speed]", "randomization=[mass,inertia,thrust_map]"))
+    env = started(
+        make_env("metric=[path_length,top_speed]", "randomization=[mass,inertia,thrust_map]")
+    )
     for action in actions(3):
         env.advance(action)
     before, seen = snapshot(env), env.observation.clone()
@@ -217,7 +219,13 @@ def test_a_finished_route_is_a_success(make_env):
 
 
 def reward_terms(env, out):
-    return dict(zip([term.name for term in env.stages.terms.rewards], out.reward_terms.unbind(-1), strict=True))
+    return dict(
+        zip(
+            [term.name for term in env.stages.terms.rewards],
+            out.reward_terms.unbind(-1),
+            strict=True,
+        )
+    )
 
 
 def test_the_reward_is_the_sum_of_its_weighted_terms(make_env):

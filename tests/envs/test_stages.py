@@ -44,13 +44,18 @@ def assembled(compose):
     def make(**changed):
         stages = build_stages(config)
         terms = {name: getattr(stages.terms, name) for name in Terms.__dataclass_fields__}
-        return Stages(Terms(**terms | changed), Context(dt_s=0.02, resolution_m=0.1, vehicle=stages.context.vehicle))
+        return Stages(
+            Terms(**terms | changed),
+            Context(dt_s=0.02, resolution_m=0.1, vehicle=stages.context.vehicle),
+        )
 
     return make
 
 
 def test_a_key_that_nothing_writes_is_named_with_its_reader(assembled):
-    with pytest.raises(ConfigError, match=r"reward\.lonely reads sensor\.camera, which nothing before it writes"):
+    with pytest.raises(
+        ConfigError, match=r"reward\.lonely reads sensor\.camera, which nothing before it writes"
+    ):
         assembled(rewards=[ReadsNothingKnown(weight=1.0).named("lonely")])
 
 
@@ -83,7 +88,9 @@ def test_a_step_needs_rewards_and_terminations(compose, group):
 
 
 def test_every_key_of_the_world_has_its_declared_shape_and_type(make_env):
-    env = make_env("metric=[energy,top_speed]", "randomization=[mass,inertia,thrust_map,action_delay]")
+    env = make_env(
+        "metric=[energy,top_speed]", "randomization=[mass,inertia,thrust_map,action_delay]"
+    )
     env.restart(torch.arange(4))
     env.advance(torch.zeros(4, 4))
     world = env.world

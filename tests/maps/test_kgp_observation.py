@@ -1,4 +1,4 @@
-"""The nine numbers of the obstacle observation, from the state to the scalar version of the fact sheet (4.5)."""
+"""The nine numbers of the obstacle observation against the scalar version of the facts (4.5)."""
 
 import math
 
@@ -39,13 +39,21 @@ def poses():
 def expected(position, velocity, points, esdf, *, toward_velocity):
     field = scalar_kgp.Map(esdf[0].double().tolist())
     rows = []
-    for p, v, first in zip(position.double().tolist(), velocity.double().tolist(), points[:, 0].double().tolist(), strict=True):
+    for p, v, first in zip(
+        position.double().tolist(),
+        velocity.double().tolist(),
+        points[:, 0].double().tolist(),
+        strict=True,
+    ):
         share = math.dist(p, first) / math.hypot(*v)
         ahead = (p[0] + v[0] * share, p[1] + v[1] * share)
         here, aim = (p[0], p[1]), ahead if toward_velocity else (first[0], first[1])
         end = scalar_kgp.polar(here, 3.0, math.atan2(aim[1] - here[1], aim[0] - here[0]))
         free = math.dist(here, scalar_kgp.cast(field, here, end))
-        guides = scalar_kgp.guided(field, here, ahead), scalar_kgp.guided(field, here, (first[0], first[1]), 2.0)
+        guides = (
+            scalar_kgp.guided(field, here, ahead),
+            scalar_kgp.guided(field, here, (first[0], first[1]), 2.0),
+        )
         rows.append([*guides[0], *guides[1], free])
     return torch.tensor(rows)
 
@@ -65,7 +73,9 @@ def test_a_far_control_point_is_guided_to_at_the_longest_radius_only(poses):
     position, velocity = torch.tensor([[5.0, 5.0, 1.0]]), torch.tensor([[1.0, 0.5, 0.0]])
     index = torch.zeros(1, 1, dtype=torch.int64)
     near, far = (
-        term().compute(position, velocity, torch.tensor([[[5.0 + d, 5.0, 1.0]] * 2]), index, esdf, origin, size)
+        term().compute(
+            position, velocity, torch.tensor([[[5.0 + d, 5.0, 1.0]] * 2]), index, esdf, origin, size
+        )
         for d in (4.0, 20.0)
     )
     assert_close(near, far, atol=1e-5, rtol=0)

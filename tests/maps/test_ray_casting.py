@@ -127,7 +127,7 @@ def test_rays_in_double_precision_equal_the_scalar_version_everywhere(poses):
     assert_close(ours[on_map], free[on_map], atol=1e-6, rtol=0)
 
 
-def test_edges_of_the_cpu_operator_differ_from_the_scalar_version_in_at_most_two_of_a_thousand_poses(
+def test_edges_of_the_cpu_operator_differ_in_at_most_two_of_a_thousand_poses(
     poses,
 ):
     esdf, index, here, offset, radius, edges, _ = poses
@@ -135,7 +135,7 @@ def test_edges_of_the_cpu_operator_differ_from_the_scalar_version_in_at_most_two
     assert share_that_differs(ours, edges) <= MISMATCHES
 
 
-def test_edges_in_torch_differ_from_the_scalar_version_in_at_most_two_of_a_thousand_poses(poses):
+def test_edges_in_torch_differ_in_at_most_two_of_a_thousand_poses(poses):
     esdf, index, here, offset, radius, edges, _ = poses
     ours = ray_casting.guided_in_torch(field_of(esdf, index), here, offset, radius, 3.0)
     assert share_that_differs(ours, edges) <= MISMATCHES

@@ -44,7 +44,9 @@ def test_the_origin_shifts_the_map_not_the_box():
 
 
 def test_overlapping_boxes_fill_their_union_and_only_in_their_own_scene():
-    boxes = torch.tensor([[[0.0, 0.0, 0.2, 0.1], [0.1, 0.0, 0.2, 0.1]], [[0.5, 0.5, 0.1, 0.1], [0.5, 0.5, 0.1, 0.1]]])
+    boxes = torch.tensor(
+        [[[0.0, 0.0, 0.2, 0.1], [0.1, 0.0, 0.2, 0.1]], [[0.5, 0.5, 0.1, 0.1], [0.5, 0.5, 0.1, 0.1]]]
+    )
     grid = rasterize(boxes, ORIGIN.expand(2, 2), (6, 8), 0.1)
     assert {tuple(c) for c in grid[0].nonzero().tolist()} == block([0], range(3))
     assert {tuple(c) for c in grid[1].nonzero().tolist()} == {(5, 5)}

@@ -54,7 +54,9 @@ def test_starts_are_jittered_in_the_plane_only():
 def test_the_goals_of_the_paper_maps_can_be_reached_with_the_searchs_clearance(load_part, name):
     layout = sample(build(load_part("scene", name), "scene"), 20)
     shape = tuple(round(float(side) / 0.1) for side in layout.size[0].flip(0))
-    esdf = distance_transform(rasterize(layout.boxes_w[:1], layout.origin_w[:1], shape, 0.1), 0.1, 3.0)
+    esdf = distance_transform(
+        rasterize(layout.boxes_w[:1], layout.origin_w[:1], shape, 0.1), 0.1, 3.0
+    )
     room, _ = label((esdf[0] > 0.4).numpy())
 
     def room_of(point):
@@ -87,7 +89,12 @@ def test_random_boxes_are_random_but_repeatable(load_part):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "name"), [({"boxes": 0}, "boxes"), ({"start_m": [25.0, 0.0, 1.0]}, "start_m"), ({"goal_m": [0.0, 11.0, 1.0]}, "goal_m")]
+    ("wrong", "name"),
+    [
+        ({"boxes": 0}, "boxes"),
+        ({"start_m": [25.0, 0.0, 1.0]}, "start_m"),
+        ({"goal_m": [0.0, 11.0, 1.0]}, "goal_m"),
+    ],
 )
 def test_an_impossible_box_field_is_refused(wrong, name):
     with pytest.raises(ConfigError, match=name):

@@ -21,7 +21,9 @@ def pool(compose):
 def straight_to_the_goal(layout):
     """A stand-in for a planner: the goal is the whole route."""
     ones = torch.ones(len(layout), 1, dtype=torch.int64)
-    return Layout(layout.boxes_w, layout.origin_w, layout.size, layout.start_w, layout.route_w, ones)
+    return Layout(
+        layout.boxes_w, layout.origin_w, layout.size, layout.start_w, layout.route_w, ones
+    )
 
 
 def test_the_distance_field_is_that_of_the_boxes(pool):

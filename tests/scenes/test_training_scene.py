@@ -14,7 +14,11 @@ from resc.scenes.training import TrainingScene
 
 SCENES = 300
 COLLIDES_M = 0.3
-ROUTES = {"as configured": {}, "paper": {"points": 2, "spacing_m": [0.5, 2.5]}, "long": {"points": 4, "spacing_m": [0.5, 1.25]}}
+ROUTES = {
+    "as configured": {},
+    "paper": {"points": 2, "spacing_m": [0.5, 2.5]},
+    "long": {"points": 4, "spacing_m": [0.5, 1.25]},
+}
 
 
 def lay_out(load_part, **changes):
@@ -49,14 +53,20 @@ def test_straight_lines_are_blocked_in_some_scenes_and_pass_by_obstacles_in_more
     corners = torch.cat((layout.start_w.unsqueeze(1), layout.route_w), 1)
     share = torch.linspace(0, 1, 60)[:, None, None, None]
     lines = (corners[:, :-1] + share * corners.diff(dim=1)).permute(1, 0, 2, 3).flatten(1, 2)
-    blocked = [not free[cells_of(line)].all() for line, free in zip(lines, free_cells(layout), strict=True)]
-    nearest = torch.stack([box_distance(lines[:, i, :2], layout.boxes_w) for i in range(lines.shape[1])]).amin((0, 2))
+    blocked = [
+        not free[cells_of(line)].all() for line, free in zip(lines, free_cells(layout), strict=True)
+    ]
+    nearest = torch.stack(
+        [box_distance(lines[:, i, :2], layout.boxes_w) for i in range(lines.shape[1])]
+    ).amin((0, 2))
     assert np.mean(blocked) > 0.02  # few: the guarded path follows the lines
     assert (nearest < 1.0).float().mean() > 0.3
 
 
 def test_the_same_seed_lays_out_the_same_scenes():
-    first, again, other = (TrainingScene().sample(20, torch.Generator().manual_seed(seed)) for seed in (5, 5, 6))
+    first, again, other = (
+        TrainingScene().sample(20, torch.Generator().manual_seed(seed)) for seed in (5, 5, 6)
+    )
     for name in ("boxes_w", "start_w", "route_w"):
         assert torch.equal(getattr(first, name), getattr(again, name))
     for name in ("boxes_w", "route_w"):
@@ -74,7 +84,9 @@ def test_flights_start_at_the_centre_with_room_to_move():
 
 
 def test_legs_keep_to_their_lengths_turns_and_heights():
-    layout = sample(size_m=16.0, points=3, spacing_m=[0.5, 2.0], turn_rad=1.0, height_m=1.2, height_spread_m=0.1)
+    layout = sample(
+        size_m=16.0, points=3, spacing_m=[0.5, 2.0], turn_rad=1.0, height_m=1.2, height_spread_m=0.1
+    )
     corners = torch.cat((layout.start_w.unsqueeze(1), layout.route_w), 1)
     legs = corners.diff(dim=1)[..., :2]
     lengths, headings = legs.norm(dim=-1), torch.atan2(legs[..., 1], legs[..., 0])
@@ -99,7 +111,17 @@ def test_free_scenes_hold_no_box(load_part):
     assert (free.route_length > 0).all()
 
 
-@pytest.mark.parametrize("wrong", [{"points": 0}, {"boxes": -1}, {"size_m": 8.0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"points": 0},
+        {"boxes": -1},
+        {"size_m": 8.0},
+        {"spacing_m": [0.5]},
+        {"side_m": [0.0, 0.8]},
+        {"wall_m": [4.0, 1.0]},
+    ],
+)
 def test_impossible_layouts_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
         TrainingScene(**wrong)

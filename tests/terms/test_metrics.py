@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -27,7 +28,7 @@ def run(metric, *steps):
 
 def test_path_length_sums_the_steps():
     corners = [[[0.0, 0.0, 1.0]], [[3.0, 4.0, 1.0]], [[3.0, 4.0, 3.0]], [[0.0, 0.0, 3.0]]]
-    steps = [(b, a) for a, b in zip(corners, corners[1:], strict=False)]
+    steps = [(b, a) for a, b in itertools.pairwise(corners)]
     assert run(PathLength(), *steps) == pytest.approx(12.0, abs=1e-4)
 
 
@@ -53,11 +54,16 @@ def test_a_step_over_several_limits_counts_once():
 
 def test_time_within_is_the_first_time_and_stays():
     route = [[[0.0, 0.0, 1.0], [5.0, 0.0, 1.0]]]
-    steps = [([[x, 0.0, 1.0]], route, [[clock]]) for clock, x in ((1.0, 0.0), (2.0, 4.6), (3.0, 5.0), (4.0, 9.0))]
+    steps = [
+        ([[x, 0.0, 1.0]], route, [[clock]])
+        for clock, x in ((1.0, 0.0), (2.0, 4.6), (3.0, 5.0), (4.0, 9.0))
+    ]
     assert run(TimeWithin(radius_m=0.5), *steps) == pytest.approx(0.04)
     assert run(TimeWithin(radius_m=0.5), steps[0]) == math.inf
 
 
 def test_environments_are_measured_on_their_own():
-    value = TopSpeed().compute(torch.tensor([[1.0], [9.0]]), torch.tensor([[2.0, 0.0, 0.0], [3.0, 0.0, 0.0]]))
+    value = TopSpeed().compute(
+        torch.tensor([[1.0], [9.0]]), torch.tensor([[2.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    )
     assert_close(value, torch.tensor([[2.0], [9.0]]))

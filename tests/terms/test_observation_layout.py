@@ -1,4 +1,4 @@
-"""Every number of the policy's input, by its index in the released order (facts 3), for one pose made by hand."""
+"""Each number of the policy's input, by its index in the released order (facts 3), at one pose."""
 
 import math
 
@@ -42,7 +42,10 @@ def pose():
 
 
 def observe(stages, tensors):
-    blocks = [term.compute(*(tensors[key] for key in term.reads)) * term.scale for term in stages.terms.observations]
+    blocks = [
+        term.compute(*(tensors[key] for key in term.reads)) * term.scale
+        for term in stages.terms.observations
+    ]
     return torch.cat(blocks, -1)[0]
 
 
@@ -51,7 +54,8 @@ def body_x():
     return [math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw), -math.sin(pitch)]
 
 
-PATCH = [  # distances between cell centres; the vehicle is in cell (row 60, column 52), the box begins at column 56
+# In cells, between centres: the vehicle is in row 60 and column 52, the box begins in column 56.
+PATCH = [
     math.hypot(5, 0),
     4,
     3,
@@ -104,9 +108,13 @@ def test_the_distance_patch_runs_row_by_row_from_the_upper_left(make_stages, pos
 
 
 def test_velocity_edges_come_before_control_point_edges_and_the_free_distance(make_stages, pose):
-    field = select(*(pose[key] for key in (keys.ESDF, keys.SCENE_INDEX, keys.MAP_ORIGIN_W, keys.MAP_SIZE)), 0.1)
+    field = select(
+        *(pose[key] for key in (keys.ESDF, keys.SCENE_INDEX, keys.MAP_ORIGIN_W, keys.MAP_SIZE)), 0.1
+    )
     here = torch.tensor([[X, Y]])
-    far = math.dist((X, Y, Z), FIRST) / math.hypot(*VELOCITY)  # the velocity control point is as far as the first one
+    far = math.dist((X, Y, Z), FIRST) / math.hypot(
+        *VELOCITY
+    )  # the velocity control point is as far as the first one
     ahead = torch.tensor([[VELOCITY[0] * far, VELOCITY[1] * far]])
     radius = torch.tensor([math.hypot(VELOCITY[0], VELOCITY[1]) * far + 0.3])
     to_first = torch.tensor([[FIRST[0] - X, FIRST[1] - Y]])
@@ -128,7 +136,9 @@ def test_the_free_distance_can_be_measured_toward_the_control_point(make_stages,
 def test_without_motion_the_velocity_guide_points_at_the_control_point(make_stages, pose):
     still = observe(make_stages(), {**pose, keys.VELOCITY_W: torch.zeros(1, 3)})
     toward = torch.tensor([[2.0, 1.0, 0.2]])
-    assert torch.equal(still[22:31], observe(make_stages(), {**pose, keys.VELOCITY_W: toward})[22:31])
+    assert torch.equal(
+        still[22:31], observe(make_stages(), {**pose, keys.VELOCITY_W: toward})[22:31]
+    )
 
 
 def test_at_the_control_point_every_number_is_finite(make_stages, pose):
@@ -141,17 +151,33 @@ def test_at_the_control_point_every_number_is_finite(make_stages, pose):
 def test_columns_are_named_in_the_order_of_the_numbers(make_stages):
     names = make_stages().observation_columns
     assert len(names) == 45
-    at = {0: "sub_cell.x", 2: "velocity.x", 5: "attitude.roll", 8: "body_rate.p", 11: "esdf_patch.top_left"}
+    at = {
+        0: "sub_cell.x",
+        2: "velocity.x",
+        5: "attitude.roll",
+        8: "body_rate.p",
+        11: "esdf_patch.top_left",
+    }
     at |= {15: "esdf_patch.centre_centre", 19: "esdf_patch.bottom_right", 20: "heights.to_ceiling"}
-    at |= {22: "kgp_esdf.velocity_left_x", 25: "kgp_esdf.velocity_right_y", 26: "kgp_esdf.control_point_left_x"}
-    at |= {30: "kgp_esdf.free_distance", 31: "control_points.first_x", 39: "control_points.between_z"}
+    at |= {
+        22: "kgp_esdf.velocity_left_x",
+        25: "kgp_esdf.velocity_right_y",
+        26: "kgp_esdf.control_point_left_x",
+    }
+    at |= {
+        30: "kgp_esdf.free_distance",
+        31: "control_points.first_x",
+        39: "control_points.between_z",
+    }
     at |= {40: "body_x.x", 43: "planar_distances.first", 44: "planar_distances.second"}
     assert {index: names[index] for index in at} == at
 
 
 def test_the_offset_within_the_cell_is_never_negative_nor_more_than_a_cell(make_stages):
     sub_cell = next(term for term in make_stages().terms.observations if term.name == "sub_cell")
-    points = torch.tensor([[0.0, 0.0], [-0.03, -0.07], [-1e-9, 5.0], [5.0, -5.0], [0.1, 0.3], [11.9999, 0.29999]])
+    points = torch.tensor(
+        [[0.0, 0.0], [-0.03, -0.07], [-1e-9, 5.0], [5.0, -5.0], [0.1, 0.3], [11.9999, 0.29999]]
+    )
     position = torch.cat((points, torch.ones(6, 1)), -1)
     index = torch.zeros(6, 1, dtype=torch.int64)
     offset = sub_cell.compute(position, index, torch.zeros(1, 2))

@@ -12,7 +12,9 @@ def test_a_parameter_is_scaled_by_one_plus_the_spread_at_most(kind):
     term = kind(spread=0.1)
     nominal = torch.full((3, term.draws), 2.0)
     unit = torch.tensor([[0.0], [0.5], [1.0]]).expand(3, term.draws)
-    assert_close(term.compute(nominal, unit), torch.tensor([[1.8], [2.0], [2.2]]).expand(3, term.draws))
+    assert_close(
+        term.compute(nominal, unit), torch.tensor([[1.8], [2.0], [2.2]]).expand(3, term.draws)
+    )
 
 
 def test_the_axes_of_the_inertia_vary_on_their_own():
@@ -28,7 +30,10 @@ def test_delays_are_whole_steps_and_equally_likely():
     assert sum(shares) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("make", [lambda: Mass(spread=1.0), lambda: Mass(spread=-0.1), lambda: ActionDelay(longest_steps=-1)])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: Mass(spread=1.0), lambda: Mass(spread=-0.1), lambda: ActionDelay(longest_steps=-1)],
+)
 def test_impossible_spreads_are_refused(make):
     with pytest.raises(ConfigError):
         make()

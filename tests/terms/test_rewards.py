@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -35,14 +36,20 @@ def progress(previous, position, target, **options):
 
 
 def test_full_speed_toward_the_control_point_earns_one():
-    assert progress((0.0, 0.0, 1.0), (LONGEST, 0.0, 1.0), (2.0, 0.0, 1.0)) == pytest.approx(1.0, abs=1e-4)
+    assert progress((0.0, 0.0, 1.0), (LONGEST, 0.0, 1.0), (2.0, 0.0, 1.0)) == pytest.approx(
+        1.0, abs=1e-4
+    )
 
 
 def test_full_speed_away_from_it_costs_one():
-    assert progress((0.0, 0.0, 1.0), (-LONGEST, 0.0, 1.0), (2.0, 0.0, 1.0)) == pytest.approx(-1.0, abs=1e-4)
+    assert progress((0.0, 0.0, 1.0), (-LONGEST, 0.0, 1.0), (2.0, 0.0, 1.0)) == pytest.approx(
+        -1.0, abs=1e-4
+    )
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0, 1.0), (2.0, 0.1, 1.0), (2.0, 0.0, 0.4), (2.0, 0.0, 1.9), (2.5, 0.0, 1.2)])
+@pytest.mark.parametrize(
+    "place", [(0.0, 0.0, 1.0), (2.0, 0.1, 1.0), (2.0, 0.0, 0.4), (2.0, 0.0, 1.9), (2.5, 0.0, 1.2)]
+)
 @pytest.mark.parametrize("radius", [0.5, None])
 def test_hovering_forever_earns_no_progress(place, radius):
     assert progress(place, place, (2.0, 0.0, 1.0), column_radius_m=radius) == 0.0
@@ -53,7 +60,9 @@ def test_a_ray_into_the_column_counts_in_full_although_it_misses_the_point():
     end = (LONGEST, 0.4, 1.0)
     assert progress(start, end, target) == pytest.approx(1.0, abs=1e-4)
     closed = math.dist(start, target) - math.dist(end, target)
-    assert progress(start, end, target, column_radius_m=None) == pytest.approx(closed / LONGEST, abs=1e-4)
+    assert progress(start, end, target, column_radius_m=None) == pytest.approx(
+        closed / LONGEST, abs=1e-4
+    )
     assert closed / LONGEST < 0.99
 
 
@@ -89,14 +98,16 @@ def test_a_slanted_ray_through_the_top_enters_the_column():
 def test_progress_telescopes_so_loops_earn_nothing():
     angle = torch.linspace(0, 2 * math.pi, 61)
     loop = [(float(a.cos()), float(a.sin()), 1.0 + 0.1 * float((2 * a).sin())) for a in angle]
-    total = sum(progress(a, b, (3.0, 0.5, 1.0), column_radius_m=None) for a, b in zip(loop, loop[1:], strict=False))
+    total = sum(
+        progress(a, b, (3.0, 0.5, 1.0), column_radius_m=None) for a, b in itertools.pairwise(loop)
+    )
     assert total == pytest.approx(0.0, abs=1e-3)
 
 
 def test_progress_sums_to_the_distance_closed():
     path = [(0.02 * i, 0.3 * math.sin(0.1 * i), 1.0) for i in range(50)]
     target = (3.0, 0.5, 1.0)
-    total = sum(progress(a, b, target, column_radius_m=None) for a, b in zip(path, path[1:], strict=False))
+    total = sum(progress(a, b, target, column_radius_m=None) for a, b in itertools.pairwise(path))
     closed = math.dist(path[0], target) - math.dist(path[-1], target)
     assert total * LONGEST == pytest.approx(closed, abs=1e-5)
 
@@ -117,11 +128,19 @@ def test_only_an_end_that_is_no_finish_is_a_crash():
 
 def test_only_the_last_passing_finishes():
     passed, finished = flags(True, True, False, False), flags(False, True, False, True)
-    assert Finish(weight=20.0).compute(passed, finished, torch.rand(4, 3))[:, 0].tolist() == [0, 1, 0, 0]
+    assert Finish(weight=20.0).compute(passed, finished, torch.rand(4, 3))[:, 0].tolist() == [
+        0,
+        1,
+        0,
+        0,
+    ]
 
 
 def test_every_passing_is_an_arrival():
-    assert Arrival(weight=10.0).compute(flags(True, False), torch.rand(2, 3))[:, 0].tolist() == [1, 0]
+    assert Arrival(weight=10.0).compute(flags(True, False), torch.rand(2, 3))[:, 0].tolist() == [
+        1,
+        0,
+    ]
 
 
 def test_every_broken_limit_costs_one():

@@ -17,7 +17,9 @@ def row(*values):
 
 def violations(speed=0.0, acceleration=0.0, roll=0.0, pitch=0.0, yaw=0.0):
     term = LimitViolations(speed_mps=3.0, acceleration_mps2=6.0, tilt_rad=0.6545)
-    return float(term.compute(row(0.0, speed, 0.0), row(0.0, 0.0, -acceleration), row(roll, pitch, yaw)))
+    return float(
+        term.compute(row(0.0, speed, 0.0), row(0.0, 0.0, -acceleration), row(roll, pitch, yaw))
+    )
 
 
 def test_each_broken_limit_counts_once():
@@ -46,7 +48,9 @@ def test_euler_angles_come_from_the_attitude():
 
 
 def test_surface_clearance_is_exact_signed_and_from_the_own_map():
-    boxes = torch.tensor([[[1.0, 0.0, 1.0, 1.0], [5.0, 5.0, 1.0, 1.0]], [[0.0, 0.0, 2.0, 2.0], [1e6, 1e6, 0.0, 0.0]]])
+    boxes = torch.tensor(
+        [[[1.0, 0.0, 1.0, 1.0], [5.0, 5.0, 1.0, 1.0]], [[0.0, 0.0, 2.0, 2.0], [1e6, 1e6, 0.0, 0.0]]]
+    )
     position = torch.tensor([[0.0, 0.5, 1.0], [0.5, 1.0, 1.0], [5.0, 6.0, 0.0]])
     clearance = SurfaceClearance().compute(position, torch.tensor([[0], [1], [1]]), boxes)
     assert_close(clearance, torch.tensor([[1.0], [-0.5], [math.hypot(3, 4)]]))

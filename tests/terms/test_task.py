@@ -84,7 +84,9 @@ def test_routes_of_different_length_share_a_batch():
     route = torch.arange(18.0).reshape(2, 3, 3)
     length, index = torch.tensor([[3], [1]]), torch.tensor([[1], [0]])
     assert_close(next_two(route, length, index), torch.stack((route[0, 1:], route[1, [0, 0]])))
-    assert_close(point_at(route, length, torch.tensor([[9], [9]])), torch.stack((route[0, 2], route[1, 0])))
+    assert_close(
+        point_at(route, length, torch.tensor([[9], [9]])), torch.stack((route[0, 2], route[1, 0]))
+    )
 
 
 @pytest.mark.parametrize("wrong", [{"radius_m": 0.0}, {"half_height_m": -0.2}])
@@ -94,14 +96,21 @@ def test_an_impossible_column_is_refused(wrong):
 
 
 def begin(unit, **options):
-    """State in which a flight from (5, 5, 1) to (5, 7, 1.1) begins, given the uniform numbers drawn."""
-    start, route = torch.tensor([[5.0, 5.0, 1.0]]), torch.tensor([[[5.0, 7.0, 1.1], [9.0, 9.0, 1.0]]])
+    """How a flight from (5, 5, 1) to (5, 7, 1.1) begins, given the uniform numbers drawn."""
+    start, route = (
+        torch.tensor([[5.0, 5.0, 1.0]]),
+        torch.tensor([[[5.0, 7.0, 1.1], [9.0, 9.0, 1.0]]]),
+    )
     count = len(unit)
-    return InitialState(**options).compute(start.expand(count, -1), route.expand(count, -1, -1), unit)
+    return InitialState(**options).compute(
+        start.expand(count, -1), route.expand(count, -1, -1), unit
+    )
 
 
 def test_zero_ranges_start_at_rest_facing_the_first_control_point():
-    zeros = dict.fromkeys(("speed_mps", "heading_rad", "tilt_rad", "yaw_rad", "body_rate_radps"), 0.0)
+    zeros = dict.fromkeys(
+        ("speed_mps", "heading_rad", "tilt_rad", "yaw_rad", "body_rate_radps"), 0.0
+    )
     position, velocity, attitude, rate = begin(torch.rand(20, 8), **zeros)
     assert_close(position, torch.tensor([[5.0, 5.0, 1.0]]).expand(20, -1))
     assert_close(velocity, torch.zeros(20, 3))
@@ -112,11 +121,22 @@ def test_zero_ranges_start_at_rest_facing_the_first_control_point():
 
 def test_draws_stay_within_their_ranges_and_reach_them():
     generator = torch.Generator().manual_seed(0)
-    ranges = {"speed_mps": 2.0, "heading_rad": 0.8, "tilt_rad": 0.3, "yaw_rad": 0.5, "body_rate_radps": 0.4}
+    ranges = {
+        "speed_mps": 2.0,
+        "heading_rad": 0.8,
+        "tilt_rad": 0.3,
+        "yaw_rad": 0.5,
+        "body_rate_radps": 0.4,
+    }
     _, velocity, attitude, rate = begin(torch.rand(4000, 8, generator=generator), **ranges)
     euler = euler_from_quaternion(attitude)
     course = torch.atan2(velocity[:, 1], velocity[:, 0]) - math.pi / 2
-    limits = {2.0: velocity.norm(dim=-1), 0.8: course.abs(), 0.3: euler[:, :2].abs(), 0.4: rate.abs()}
+    limits = {
+        2.0: velocity.norm(dim=-1),
+        0.8: course.abs(),
+        0.3: euler[:, :2].abs(),
+        0.4: rate.abs(),
+    }
     limits[0.5] = (euler[:, 2] - math.pi / 2).abs()
     for limit, value in limits.items():
         assert limit * 0.99 < value.max() <= limit * 1.001
@@ -125,7 +145,9 @@ def test_draws_stay_within_their_ranges_and_reach_them():
         assert abs(mean) < 0.03
 
 
-@pytest.mark.parametrize("name", ["speed_mps", "heading_rad", "tilt_rad", "yaw_rad", "body_rate_radps"])
+@pytest.mark.parametrize(
+    "name", ["speed_mps", "heading_rad", "tilt_rad", "yaw_rad", "body_rate_radps"]
+)
 def test_a_negative_range_is_refused(name):
     with pytest.raises(ConfigError):
         InitialState(**{name: -0.1})

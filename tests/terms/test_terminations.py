@@ -32,7 +32,11 @@ def test_three_cells_from_an_obstacle_is_no_collision_yet():
 
 
 def test_contact_is_at_the_surface_itself():
-    assert Contact(radius_m=0.0).compute(column(0.01, 0.0, -0.1))[:, 0].tolist() == [False, True, True]
+    assert Contact(radius_m=0.0).compute(column(0.01, 0.0, -0.1))[:, 0].tolist() == [
+        False,
+        True,
+        True,
+    ]
     assert Contact(radius_m=0.3).compute(column(0.29, 0.31))[:, 0].tolist() == [True, False]
 
 
@@ -47,8 +51,13 @@ def test_the_flight_band_includes_its_ends():
 
 
 def test_out_of_map_looks_at_each_environments_own_map():
-    origin, size = torch.tensor([[0.0, 0.0], [-5.0, -5.0]]), torch.tensor([[12.0, 12.0], [10.0, 4.0]])
-    position = torch.tensor([[-0.1, 1.0, 1.0], [-0.1, -2.0, 1.0], [12.0, 1.0, 1.0], [0.0, -1.0, 1.0], [11.9, 11.9, 9.0]])
+    origin, size = (
+        torch.tensor([[0.0, 0.0], [-5.0, -5.0]]),
+        torch.tensor([[12.0, 12.0], [10.0, 4.0]]),
+    )
+    position = torch.tensor(
+        [[-0.1, 1.0, 1.0], [-0.1, -2.0, 1.0], [12.0, 1.0, 1.0], [0.0, -1.0, 1.0], [11.9, 11.9, 9.0]]
+    )
     index = torch.tensor([[0], [1], [0], [1], [0]])
     flags = OutOfMap().compute(position, index, origin, size)
     assert flags[:, 0].tolist() == [True, False, True, True, False]
@@ -57,11 +66,25 @@ def test_out_of_map_looks_at_each_environments_own_map():
 def test_the_time_limit_counts_control_steps():
     term = TimeLimit(limit_s=10.0)
     term.bind(CONTEXT)
-    assert term.compute(column(0.0, 499.0, 500.0, 501.0))[:, 0].tolist() == [False, False, True, True]
+    assert term.compute(column(0.0, 499.0, 500.0, 501.0))[:, 0].tolist() == [
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
 def test_only_the_clock_truncates():
-    kinds = (AttitudeLimit, Collision, Contact, HeightLimit, LastControlPoint, OutOfMap, Settled, TimeLimit)
+    kinds = (
+        AttitudeLimit,
+        Collision,
+        Contact,
+        HeightLimit,
+        LastControlPoint,
+        OutOfMap,
+        Settled,
+        TimeLimit,
+    )
     assert [kind for kind in kinds if kind.truncates] == [TimeLimit]
     assert [kind for kind in kinds if kind.success] == [LastControlPoint, Settled]
 

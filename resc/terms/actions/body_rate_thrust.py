@@ -12,10 +12,12 @@ from resc.term import Action, Context
 
 
 class BodyRateThrust(Action):
-    """Commanded body rates [rad/s] and collective thrust [N] from the action [p, q, r, thrust], clipped to [-1, 1].
+    """Commanded body rates [rad/s] and collective thrust [N].
 
-    omega = a_0..2 * limit;  F = m g ((a_3 + 1) / 2 (high - low) + low), so a_3 = 0 hovers when low + high = 2 (facts 2.3).
-    The action waits in a queue for as many steps as the environment's delay, at most `longest_delay_steps`.
+    From the action a = [p, q, r, thrust], clipped to [-1, 1]: omega = a_0..2 * limit;
+    F = m g ((a_3 + 1) / 2 (high - low) + low), so a_3 = 0 hovers when low + high = 2 (facts 2.3).
+    The action waits in a queue for as many steps as the environment's delay, at most
+    `longest_delay_steps`.
 
     Args:
         rate_limit_radps: Largest roll, pitch and yaw rate.
@@ -27,6 +29,7 @@ class BodyRateThrust(Action):
     reads = (keys.ACTION, keys.ACTION_QUEUE, keys.ACTION_DELAY)
     writes = (keys.ACTION_QUEUE, keys.BODY_RATE_COMMAND_B, keys.COLLECTIVE_THRUST)
     width = 4
+    limit: Tensor
 
     def __init__(
         self,
@@ -38,14 +41,19 @@ class BodyRateThrust(Action):
     ) -> None:
         super().__init__()
         if len(rate_limit_radps) != 3:
-            raise ConfigError(f"rate_limit_radps is {list(rate_limit_radps)}; expected 3 numbers: roll, pitch, yaw.")
-        low, high = thrust_range_g
-        if not 0 <= low < high:
-            raise ConfigError(f"thrust_range_g is [{low}, {high}]; expected 0 <= low < high.")
+            raise ConfigError(
+                f"rate_limit_radps is {list(rate_limit_radps)}; expected 3 numbers, one per axis."
+            )
+        if len(thrust_range_g) != 2 or not 0 <= thrust_range_g[0] < thrust_range_g[1]:
+            raise ConfigError(
+                f"thrust_range_g is {list(thrust_range_g)}; expected [low, high], 0 <= low < high."
+            )
         if longest_delay_steps < 0:
             raise ConfigError(f"longest_delay_steps is {longest_delay_steps}; expected 0 or more.")
-        self.register_buffer("limit", torch.tensor(list(rate_limit_radps), dtype=torch.float32), persistent=False)
-        self.thrust_range_g = (low, high)
+        self.register_buffer(
+            "limit", torch.tensor(list(rate_limit_radps), dtype=torch.float32), persistent=False
+        )
+        self.thrust_range_g = tuple(thrust_range_g)
         self.gravity_mps2 = gravity_mps2
         self.dims = {"d": longest_delay_steps + 1}
         self.initial = {keys.ACTION_QUEUE: 0.0}
@@ -56,7 +64,10 @@ class BodyRateThrust(Action):
         self.weight_n = context.vehicle.mass_kg * self.gravity_mps2
 
     def compute(
-        self, action: Float[Tensor, "n 4"], queue: Float[Tensor, "n d 4"], delay: Float[Tensor, "n 1"]
+        self,
+        action: Float[Tensor, "n 4"],
+        queue: Float[Tensor, "n d 4"],
+        delay: Float[Tensor, "n 1"],
     ) -> tuple[Float[Tensor, "n d 4"], Float[Tensor, "n 3"], Float[Tensor, "n 1"]]:
         queue = torch.cat((action.clamp(-1, 1).unsqueeze(1), queue[:, :-1]), 1)
         age = torch.arange(queue.shape[1], device=queue.device)

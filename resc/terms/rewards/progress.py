@@ -46,19 +46,22 @@ class Progress(Reward):
         previous: Float[Tensor, "n 3"],
         target: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "n 1"]:
+        radius = self.column_radius_m
         aim = (
-            target
-            if self.column_radius_m is None
-            else self._entry(previous, position - previous, target)
+            target if radius is None else self._entry(previous, position - previous, target, radius)
         )
         return (distance(aim, previous) - distance(aim, position)) / self.longest_m
 
     def _entry(
-        self, start: Float[Tensor, "n 3"], step: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]
+        self,
+        start: Float[Tensor, "n 3"],
+        step: Float[Tensor, "n 3"],
+        target: Float[Tensor, "n 3"],
+        radius_m: float,
     ) -> Float[Tensor, "n 3"]:
         """Where start + t step, t >= 0, enters the column around `target`, else `target` [m]."""
         offset = start - target
-        radius_squared = self.column_radius_m**2
+        radius_squared = radius_m**2
         a = step[:, :2].square().sum(-1) + EPSILON
         b = (offset[:, :2] * step[:, :2]).sum(-1)
         c = offset[:, :2].square().sum(-1) - radius_squared

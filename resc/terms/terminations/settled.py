@@ -1,11 +1,14 @@
 """Reaching the goal, with time to come closer."""
 
+from collections.abc import Mapping
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.keys import NestedKey
 from resc.term import Context, Termination
 
 SINCE = ("memory", "steps_since_finish")
@@ -15,7 +18,7 @@ class Settled(Termination):
     """`after_s` since the last control point: for clocks that need a closer approach."""
 
     reads = (keys.FINISHED, SINCE)
-    initial = {SINCE: 0.0}
+    initial: Mapping[NestedKey, float] = {SINCE: 0.0}
     success = True
 
     def __init__(self, *, after_s: float = 1.0) -> None:
@@ -25,7 +28,7 @@ class Settled(Termination):
         self.after_s = after_s
 
     @property
-    def outputs(self) -> tuple[tuple[str, ...], ...]:
+    def outputs(self) -> tuple[NestedKey, ...]:
         """The flag and the count of steps."""
         return ((self.group, self.name), SINCE)
 

@@ -1,0 +1,258 @@
+"""What every part of `conf/` keeps, one case per YAML file: a new file needs no test of its own.
+
+It builds; it writes only what it declares, in the declared shape; its numbers are finite; the same
+inputs give the same bits; permuting the environments permutes the result; and one environment alone
+gives what it gives among others.
+"""
+
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from torch.testing import assert_close
+
+from resc import term as kinds
+from resc.build import build, build_terms
+from resc.keys import ACTION, DECLARED, DONE, TERMINATED, TRUNCATED
+from resc.simulation.rate_loop import RateLoop
+from resc.simulation.rigid_body import RigidBody
+from resc.simulation.vehicle import Vehicle
+
+CONF = Path(__file__).parents[1] / "conf"
+COUNT = 6
+PERMUTATION = torch.tensor([3, 0, 5, 1, 4, 2])
+
+LISTS = {
+    "sensor": kinds.Sensor,
+    "observation": kinds.Observation,
+    "obstacle_observation": kinds.Observation,
+    "termination": kinds.Termination,
+    "reward": kinds.Reward,
+    "randomization": kinds.Randomization,
+    "metric": kinds.Metric,
+}
+SINGLES = {"action": kinds.Action, "rate_loop": RateLoop, "dynamics": RigidBody}
+
+
+def names(group):
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+def cases(groups):
+    return [
+        pytest.param(group, name, id=f"{group}/{name}") for group in groups for name in names(group)
+    ]
+
+
+TERMS = cases([*SINGLES, *LISTS, "task"])
+
+
+@pytest.fixture(scope="module")
+def parts(load_part):
+    """`parts(group, name)`: the terms that a file describes, named and bound."""
+    vehicle = build(load_part("vehicle", "imp250"), "vehicle")
+    context = kinds.Context(dt_s=0.02, resolution_m=0.1, vehicle=vehicle)
+
+    def make(group, name):
+        node = load_part(group, name)
+        if group in SINGLES:
+            terms = [build(node, group).named(group)]
+        elif group == "task":
+            terms = [
+                build(node[part], f"task.{part}").named(part)
+                for part in ("control_points", "initial_state")
+            ]
+        else:
+            terms = build_terms(node, group, LISTS[group])
+        for term in terms:
+            term.bind(context)
+        return terms
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def flight(make_env):
+    """All tensors there are in the middle of a step, of six environments in flight."""
+    first = ["euler", "limit_violations"]  # the second reads the first
+    sensors = f"sensor=[{','.join(first + [n for n in names('sensor') if n not in first])}]"
+    terminations = f"termination=[{','.join(names('termination'))}]"
+    metrics = f"metric=[{','.join(names('metric'))}]"
+    env = make_env(
+        f"num_envs={COUNT}",
+        sensors,
+        terminations,
+        metrics,
+        "randomization=[mass,inertia,action_delay]",
+    )
+    generator = torch.Generator().manual_seed(0)
+    env.restart(torch.arange(COUNT))
+    for _ in range(3):
+        env.advance(torch.rand(COUNT, 4, generator=generator) - 0.5)
+    stages, terms = env.stages, env.stages.terms
+    world = {key: env.value_of(key) for key in stages.persistent}
+    tensors = {**env.pool.shared, **world, ACTION: torch.rand(COUNT, 4, generator=generator) - 0.5}
+    tensors |= {key: world[key[1:]].clone() for key in stages.memory}
+    tensors[("task", "start_w")] = env.pool.tasks[("task", "start_w")][
+        world[("scene", "index")][:, 0]
+    ]
+    for term in (
+        terms.action,
+        terms.rate_loop,
+        terms.dynamics,
+        terms.task,
+        *terms.sensors,
+        *terms.terminations,
+    ):
+        term.run(tensors)
+    flags = torch.arange(COUNT).unsqueeze(-1)
+    return tensors | {TERMINATED: flags % 2 == 0, TRUNCATED: flags % 3 == 1, DONE: flags % 6 != 3}
+
+
+def draw(term):
+    return torch.rand(COUNT, term.draws, generator=torch.Generator().manual_seed(1))
+
+
+def run(term, flight, rows=None):
+    """What the term writes for the given environments, checking that it writes nothing else."""
+    shared = {key for key, declared in DECLARED.items() if declared.shared}
+    chosen = torch.arange(COUNT) if rows is None else rows
+    inputs = {key: value if key in shared else value[chosen] for key, value in flight.items()}
+    inputs |= {
+        key: torch.full((len(chosen), 1), term.start)
+        for key in term.outputs
+        if isinstance(term, kinds.Metric)
+    }
+    tensors, drawn = dict(inputs), [draw(term)[chosen]] if term.draws else []
+    copies = {key: inputs[key].clone() for key in term.reads}
+    if isinstance(term, kinds.Metric):
+        (key,) = term.outputs
+        tensors[key] = term.compute(inputs[key], *(inputs[k] for k in term.reads))
+    else:
+        term.run(tensors, *drawn)
+    changed = {key for key, value in tensors.items() if value is not inputs.get(key)}
+    assert changed <= set(term.outputs)
+    for key, value in copies.items():
+        assert torch.equal(inputs[key], value), f"{key} was changed in place"
+    return {key: tensors[key] for key in term.outputs}
+
+
+@pytest.mark.parametrize(("group", "name"), TERMS)
+def test_a_term_builds_under_the_name_of_its_file(parts, group, name):
+    terms = parts(group, name)
+    if group in LISTS and group != "obstacle_observation":
+        assert [term.name for term in terms] == [name]
+    for term in terms:
+        assert isinstance(term, (LISTS | SINGLES).get(group, kinds.Term))
+        assert type(term).__doc__
+
+
+@pytest.mark.parametrize(("group", "name"), TERMS)
+def test_a_term_reads_only_what_is_declared(parts, group, name):
+    for term in parts(group, name):
+        for key in term.reads:
+            known = key[1:] if key[0] == "memory" and key not in term.initial else key
+            assert known in DECLARED or known in term.initial, key
+
+
+@pytest.mark.parametrize(("group", "name"), TERMS)
+def test_a_term_writes_only_what_it_declares_in_the_declared_shape(parts, flight, group, name):
+    for term in parts(group, name):
+        for key, value in run(term, flight).items():
+            assert value.shape[0] == COUNT
+            if key in DECLARED:
+                shape, wanted = value.shape[1:], DECLARED[key].shape
+                assert value.dtype == DECLARED[key].dtype, key
+                assert len(shape) == len(wanted), key
+                assert all(
+                    isinstance(w, str) or s == w for s, w in zip(shape, wanted, strict=True)
+                ), key
+            elif isinstance(term, kinds.Observation):
+                assert value.shape == (COUNT, term.width)
+            else:
+                assert value.shape == (COUNT, 1)
+            if key[0] == "termination":
+                assert value.dtype == torch.bool
+
+
+@pytest.mark.parametrize(("group", "name"), TERMS)
+def test_what_a_term_writes_is_finite(parts, flight, group, name):
+    for term in parts(group, name):
+        for key, value in run(term, flight).items():
+            never_yet = (
+                value == getattr(term, "start", torch.inf)
+                if isinstance(term, kinds.Metric)
+                else False
+            )
+            assert (value.isfinite() | never_yet).all(), key
+
+
+@pytest.mark.parametrize(("group", "name"), TERMS)
+def test_the_same_inputs_give_the_same_bits(parts, flight, group, name):
+    for term in parts(group, name):
+        first, again = run(term, flight), run(term, flight)
+        assert all(torch.equal(first[key], again[key]) for key in first)
+
+
+@pytest.mark.parametrize(("group", "name"), TERMS)
+def test_permuting_the_environments_permutes_the_result(parts, flight, group, name):
+    for term in parts(group, name):
+        usual, turned = run(term, flight), run(term, flight, rows=PERMUTATION)
+        for key, value in usual.items():
+            assert_close(turned[key], value[PERMUTATION], atol=1e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("group", "name"), TERMS)
+def test_one_environment_alone_gives_what_it_gives_among_others(parts, flight, group, name):
+    for term in parts(group, name):
+        among, alone = run(term, flight), run(term, flight, rows=torch.tensor([2]))
+        for key, value in among.items():
+            assert_close(alone[key], value[2:3], atol=1e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", names("vehicle"))
+def test_a_vehicle_can_hover(load_part, name):
+    vehicle = build(load_part("vehicle", name), "vehicle")
+    assert isinstance(vehicle, Vehicle)
+    throttle = float(vehicle.throttle(torch.tensor(vehicle.mass_kg * 9.8 / 4)))
+    assert 0.05 < throttle < 0.95
+    for key, value in vehicle.parameters().items():
+        assert value.shape == (1, *DECLARED[key].shape)
+
+
+@pytest.mark.parametrize("rate_loop", names("rate_loop"))
+@pytest.mark.parametrize("vehicle", names("vehicle"))
+@pytest.mark.parametrize("dynamics", names("dynamics"))
+def test_vehicle_rate_loop_and_dynamics_combine(make_env, vehicle, rate_loop, dynamics):
+    parts = (f"vehicle={vehicle}", f"rate_loop={rate_loop}", f"dynamics={dynamics}")
+    env = make_env("num_envs=2", "obstacle_observation=none", "scene=free", *parts)
+    env.restart(torch.arange(2))
+    for _ in range(3):
+        out = env.advance(torch.zeros(2, 4))
+    assert out.observation.isfinite().all()
+    assert env.value_of(("state", "acceleration_w")).norm(dim=-1).max() < 12
+
+
+@pytest.mark.parametrize("name", names("scene"))
+@pytest.mark.parametrize("count", [1, 5])
+def test_a_scene_lays_out_finite_scenes(load_part, name, count):
+    scene = build(load_part("scene", name), "scene")
+    layout, again = (scene.sample(count, torch.Generator().manual_seed(0)) for _ in range(2))
+    assert len(layout) == count
+    for field in ("boxes_w", "origin_w", "size", "start_w", "route_w", "route_length"):
+        assert getattr(layout, field).shape[0] == count
+        assert getattr(layout, field).isfinite().all()
+        assert torch.equal(getattr(layout, field), getattr(again, field))
+    inside = (layout.start_w[:, :2] > layout.origin_w) & (
+        layout.start_w[:, :2] < layout.origin_w + layout.size
+    )
+    assert inside.all()
+
+
+@pytest.mark.parametrize(
+    "path", sorted((CONF).glob("*/*.yaml")), ids=lambda path: f"{path.parent.name}/{path.stem}"
+)
+def test_every_file_says_what_it_is_for_or_what_it_builds(path):
+    text = path.read_text()
+    assert text.startswith("#") or "_target_" in OmegaConf.load(path).get(path.stem, {})

@@ -1,0 +1,62 @@
+"""The import rule of docs/architecture: rooms import rooms below them only."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "resc"
+FLOORS = (
+    {"math", "keys", "errors", "process"},
+    {"term"},
+    {"simulation", "maps", "scenes", "terms"},
+    {"envs", "planning", "build", "schema"},
+    {"learning", "evaluation", "recording", "baselines", "deployment"},
+)
+HYDRA_ROOMS = {"build", "schema"}
+FILES = sorted(
+    path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.name != "__init__.py"
+)
+
+
+def imported(path):
+    """Full names of the modules that a file imports."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def room(name):
+    return name.split(".")[1] if name.startswith("resc.") else None
+
+
+def floor(name):
+    floors = [number for number, rooms in enumerate(FLOORS) if name in rooms]
+    assert floors, f"resc/{name} is new: say above which floor it stands"
+    return floors[0]
+
+
+def room_of(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_file_imports_only_its_own_floor_and_those_below(path):
+    own = floor(room_of(path))
+    above = [name for name in imported(path) if room(name) and floor(room(name)) > own]
+    assert not above
+
+
+def test_term_files_do_not_know_each_other_nor_the_environment():
+    for path in (PACKAGE / "terms").glob("*/*.py"):
+        foreign = [name for name in imported(path) if room(name) in ("terms", "envs", "build")]
+        assert not foreign, path.name
+
+
+def test_hydra_is_met_in_build_and_schema_only():
+    for path in FILES:
+        names = {name.split(".")[0] for name in imported(path)}
+        assert room_of(path) in HYDRA_ROOMS or "hydra" not in names, path.name
