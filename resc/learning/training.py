@@ -7,8 +7,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
+from typing import cast
 
 import torch
+from torch import Tensor
 from tqdm import tqdm
 
 from resc.errors import RecordingError
