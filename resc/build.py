@@ -9,10 +9,11 @@ import importlib
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast, get_args, get_origin
+from typing import Any, get_args, get_origin
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from yaml import YAMLError
 
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
@@ -199,12 +200,23 @@ def build_env(config: Mapping[str, Any], pool: ScenePool, **options: Any) -> Qua
 
 
 def load_config(path: Path) -> DictConfig:
-    """A stored configuration, read as data."""
+    """A stored configuration, read as data.
+
+    Raises:
+        ConfigError: The file is missing or holds no configuration.
+    """
     if not path.exists():
         raise ConfigError(
             f"{path} does not exist; give the folder of a finished run or of a shipped policy."
         )
-    return cast(DictConfig, OmegaConf.load(path))  # what we stored is a mapping, never a list
+    try:
+        config = OmegaConf.load(path)
+    except (YAMLError, UnicodeDecodeError, OSError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"{path} cannot be read ({reason}); restore it from its run.") from None
+    if not isinstance(config, DictConfig):
+        raise ConfigError(f"{path} holds no configuration; restore it from its run.")
+    return config
 
 
 def _in_layout(observations: list[Observation], layout: Iterable[str]) -> list[Observation]:

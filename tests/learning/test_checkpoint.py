@@ -112,3 +112,10 @@ def test_hostile_stored_config_runs_no_code(folder, tmp_path):
 def test_missing_policy_says_what_to_give(tmp_path):
     with pytest.raises(CheckpointError, match="give the folder of a finished run"):
         load_policy(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["- a\n- list\n", "a: [1\n"])
+def test_stored_config_that_is_none_is_refused(folder, text):
+    (folder / CONFIG).write_text(text)
+    with pytest.raises(ConfigError, match="restore it from its run"):
+        load_policy(folder)
