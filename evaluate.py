@@ -21,6 +21,7 @@ from resc import schema
 from resc.build import nearest
 from resc.errors import ConfigError, RescError
 from resc.evaluation.campaign import evaluate
+from resc.launch import launch
 from resc.learning.checkpoint import load_policy
 from resc.process import prepare_process
 
@@ -61,4 +62,4 @@ def compose_scenes(config: DictConfig) -> dict[str, dict[str, Any]]:
 
 if __name__ == "__main__":
     schema.register()
-    main()
+    launch(main, "evaluate")

@@ -19,6 +19,7 @@ from resc import schema
 from resc.build import build
 from resc.errors import RescError
 from resc.evaluation.run_folder import finish_run, link_latest
+from resc.launch import launch
 from resc.learning.assemble import build_trainer, fly_held_out, restore, resumed
 from resc.learning.checkpoint import CONFIG, save_policy
 from resc.learning.ppo import RENEWED
@@ -96,4 +97,4 @@ def run(config: DictConfig, folder: Path) -> None:
 
 if __name__ == "__main__":
     schema.register()
-    main()
+    launch(main, "train")

@@ -88,10 +88,11 @@ def test_a_ray_through_the_top_or_the_bottom_enters_the_column(height, drop):
     assert progress(start, end, (2.0, 0.0, 1.0)) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_slanted_ray_through_the_top_enters_the_column():
+@pytest.mark.parametrize("run", [0.5, 0.9])  # with 0.9 it leaves through the side, above the bottom
+def test_a_slanted_ray_through_the_top_enters_the_column(run):
     start = (1.4, 0.0, 1.6)
-    step = LONGEST / math.hypot(0.5, 0.4)  # meets the top, 0.2 m above the point, at x = 1.9
-    end = (1.4 + 0.5 * step, 0.0, 1.6 - 0.4 * step)
+    step = LONGEST / math.hypot(run, 0.4)  # meets the top, 0.2 m above the point, at x = 1.4 + run
+    end = (1.4 + run * step, 0.0, 1.6 - 0.4 * step)
     assert progress(start, end, (2.0, 0.0, 1.0)) == pytest.approx(1.0, abs=1e-4)
 
 
