@@ -12,8 +12,9 @@ FLOORS = (
     {"simulation", "maps", "scenes", "terms"},
     {"envs", "planning", "build", "schema"},
     {"learning", "evaluation", "recording", "baselines", "deployment"},
+    {"launch"},
 )
-HYDRA_ROOMS = {"build", "schema"}
+HYDRA_ROOMS = {"build", "schema", "launch"}
 FILES = sorted(
     path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.name != "__init__.py"
 )
