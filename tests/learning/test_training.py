@@ -5,11 +5,12 @@ import signal
 import threading
 
 import pytest
+from omegaconf import OmegaConf
 from test_ppo import SMALL
 
 from resc.errors import RecordingError
-from resc.learning.assemble import build_trainer
-from resc.learning.checkpoint import CHECKPOINT, load_checkpoint
+from resc.learning.assemble import build_trainer, resumed
+from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint
 from resc.learning.progress import CsvLogger, ProgressTable, describe, draw_learning_curve
 from resc.learning.training import train
 from resc.recording.reader import RolloutLog
@@ -63,9 +64,9 @@ def test_interrupt_ends_after_the_batch_with_a_checkpoint_to_go_on_from(compose,
     threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
     complete, _ = run(trainer, tmp_path, total_frames=10**9)
     assert not complete
-    resumed = build_trainer(compose(*SMALL))
-    load_checkpoint(tmp_path / CHECKPOINT, resumed)
-    assert resumed.frames == trainer.frames > 0
+    second = build_trainer(compose(*SMALL))
+    load_checkpoint(tmp_path / CHECKPOINT, second)
+    assert second.frames == trainer.frames > 0
 
 
 def test_every_rollout_is_recorded_and_its_terms_sum_to_the_reward(compose, tmp_path):
@@ -88,9 +89,18 @@ def test_full_recording_stops_training_with_the_checkpoint_saved(compose, tmp_pa
     recorder = recorder_for(config, trainer, tmp_path / "rollouts")
     with pytest.raises(RecordingError, match="max_gb"):
         run(trainer, tmp_path, recorder, total_frames=10**6)
-    resumed = build_trainer(compose(*SMALL))
-    load_checkpoint(tmp_path / CHECKPOINT, resumed)
-    assert resumed.frames > 0
+    recorder.close()
+    second = build_trainer(compose(*SMALL))
+    load_checkpoint(tmp_path / CHECKPOINT, second)
+    assert second.frames > 0
+
+
+def test_resumed_run_takes_the_readers_allowed_targets_not_the_folders(compose, tmp_path):
+    stored = compose(*SMALL, "allowed_targets=[os.]")
+    OmegaConf.save(stored, tmp_path / CONFIG)
+    config, folder = resumed(compose(*SMALL, f"resume={tmp_path}"), tmp_path / "other")
+    assert folder == tmp_path
+    assert config["allowed_targets"] == []
 
 
 def test_table_of_terms_names_every_column_and_weight(make_stages):
