@@ -59,10 +59,7 @@ def build(
         )
     target = locate(str(config["_target_"]), path, (*ALLOWED, *allowed))
     arguments = {key: _plain(value) for key, value in config.items() if key != "_target_"}
-    named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    parameters = {
-        name: p for name, p in inspect.signature(target).parameters.items() if p.kind in named
-    }
+    parameters = _arguments_of(target)
     known = [name for name in parameters if name not in extra]
     for name, value in arguments.items():
         if name not in known:
@@ -197,6 +194,18 @@ def build_env(config: Mapping[str, Any], pool: ScenePool, **options: Any) -> Qua
         compiled=config["compile"],
         **options,
     )
+
+
+def _arguments_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """The named arguments of a function, or of a class's `__init__`.
+
+    Not the class's own signature: TensorDict's modules have a `__new__` that hides it in Python
+    before 3.11.4.
+    """
+    function = target.__init__ if inspect.isclass(target) else target
+    named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    parameters = inspect.signature(function).parameters.items()
+    return {name: p for name, p in parameters if p.kind in named and name != "self"}
 
 
 def load_config(path: Path) -> DictConfig:

@@ -18,7 +18,9 @@ CONF = Path(__file__).parents[1] / "conf"
 
 def launch(main: Callable[[], None], config_name: str) -> None:
     """Runs a `hydra.main` function; what Hydra refuses ends it with one sentence and status 1."""
-    os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # Hydra then raises instead of printing and exiting
+    os.environ.setdefault(
+        "HYDRA_FULL_ERROR", "1"
+    )  # Hydra then raises instead of printing and exiting
     try:
         main()
     except HydraException as error:
@@ -44,7 +46,7 @@ def _explain_override(path: str, config_name: str) -> str:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         node = compose(config_name)
     parts = path.replace("/", ".").split(".")
-    for number, part in enumerate(parts):
+    for number, part in enumerate(parts):  # noqa: B007 - the position of the first that is missing
         if not isinstance(node, DictConfig) or part not in node:
             break
         node = node[part]

@@ -65,7 +65,9 @@ def resumed(config: DictConfig, folder: Path) -> tuple[DictConfig, Path]:
     stored = load_config(folder / CONFIG)
     with open_dict(stored):
         stored["resume"] = config["resume"]
-        stored["allowed_targets"] = config["allowed_targets"]  # a folder cannot opt in for its reader
+        stored["allowed_targets"] = config[
+            "allowed_targets"
+        ]  # a folder cannot opt in for its reader
         stored["total_frames"] = max(stored["total_frames"], config["total_frames"])
     return stored, folder
 
