@@ -1,4 +1,4 @@
-"""Starting a Hydra script so that a wrong override gets one sentence with the nearest right name."""
+"""Starting a Hydra script: a wrong override gets one sentence with the nearest right name."""
 
 import os
 import re
@@ -46,10 +46,13 @@ def _explain_override(path: str, config_name: str) -> str:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         node = compose(config_name)
     parts = path.replace("/", ".").split(".")
-    for number, part in enumerate(parts):  # noqa: B007 - the position of the first that is missing
-        if not isinstance(node, DictConfig) or part not in node:
-            break
-        node = node[part]
+    found: list[str] = []
+    while (
+        len(found) < len(parts) - 1 and isinstance(node, DictConfig) and parts[len(found)] in node
+    ):
+        node = node[parts[len(found)]]
+        found.append(parts[len(found)])
     known = [str(key) for key in node] if isinstance(node, DictConfig) else []
-    where = ".".join(parts[:number]) or config_name
-    return f"{path} is no setting: {where} has no '{part}'.{nearest(part, known)}"
+    missing = parts[len(found)]
+    where = ".".join(found) or config_name
+    return f"{path} is no setting: {where} has no '{missing}'.{nearest(missing, known)}"

@@ -1,0 +1,38 @@
+"""What a user of the scripts is told when the command line is wrong."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def start(script, *overrides):
+    command = [sys.executable, ROOT / script, *overrides]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+
+
+@pytest.mark.parametrize(
+    ("override", "sentence"),
+    [
+        ("reward.progres.weight=1", "reward has no 'progres'. Did you mean 'progress'?"),
+        ("reward=[progres]", "reward has no 'progres'. Did you mean 'progress'?"),
+        ("vehicle.mass_kg=-1", "vehicle: mass_kg is -1.0; expected a number above zero."),
+    ],
+)
+def test_wrong_override_of_training_gets_one_sentence_and_a_failing_status(
+    override, sentence, tmp_path
+):
+    done = start("train.py", override, f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("error: ")
+    assert sentence in last
+
+
+def test_wrong_override_of_evaluation_names_the_nearest_setting(tmp_path):
+    done = start("evaluate.py", "flight=2", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 1
+    assert "Did you mean 'flights'?" in done.stderr
