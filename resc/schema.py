@@ -61,7 +61,7 @@ class TrainSchema(RunSchema):
 
     name: str = "train"
     num_envs: int = 2048
-    total_frames: int = 18_000_000
+    total_frames: int = 34_000_000
     pool_size: int = 2048
     renew_scenes: int = 64
     evaluation_episodes: int = 1000
