@@ -47,13 +47,13 @@ def free_distance(
 def guided(
     field: DistanceField,
     here: Float[Tensor, "n 2"],
-    offset: Float[Tensor, "n 2"],
-    radius: Float[Tensor, " n"],
+    offset: Float[Tensor, "n g 2"],
+    radius: Float[Tensor, "n g"],
     longest_m: float,
-) -> Float[Tensor, "n 4"]:
-    """Edges from the vehicle [m]: x, y counter-clockwise, then clockwise of the guide (facts 4.4).
+) -> Float[Tensor, "n g 4"]:
+    """Edges from the vehicle [m]: x, y counter-clockwise, then clockwise of each guide (facts 4.4).
 
-    The sweep covers 60 degrees to each side of the guide ray toward `offset`, up to `radius`. Guide
+    The sweep covers 60 degrees to each side of a guide ray toward `offset`, up to `radius`. Guide
     ray free: the nearest blocked ray of each side bounds the corridor. Guide ray blocked: where the
     blocking obstacle ends. Each edge is a corner of the cell hit, the one with the least (free) or
     greatest (blocked) angle to the guide. Off the map all are zero.
@@ -69,7 +69,11 @@ def guided(
             radius,
             field.resolution_m,
         )
-    return guided_in_torch(field, here, offset, radius, longest_m)
+    edges = [
+        guided_in_torch(field, here, offset[:, g], radius[:, g], longest_m)
+        for g in range(offset.shape[1])
+    ]
+    return torch.stack(edges, 1)
 
 
 @torch.library.custom_op("resc::cast", mutates_args=(), device_types="cpu")
@@ -107,7 +111,7 @@ def _guided_on_cpu(
     radius: Tensor,
     resolution: float,
 ) -> Tensor:
-    result = here.new_empty(here.shape[0], 4)
+    result = here.new_empty(*radius.shape, 4)
     arrays = [
         t.contiguous().numpy() for t in (esdf, index, origin, size, here, offset, radius, result)
     ]
@@ -117,7 +121,7 @@ def _guided_on_cpu(
 
 @_guided_on_cpu.register_fake
 def _(esdf, index, origin, size, here, offset, radius, resolution):  # noqa: ANN001, ANN202
-    return here.new_empty(here.shape[0], 4)
+    return here.new_empty(*radius.shape, 4)
 
 
 def cast(
@@ -168,7 +172,7 @@ def guided_in_torch(
     radius: Float[Tensor, " n"],
     longest_m: float,
 ) -> Float[Tensor, "n 4"]:
-    """`guided` by torch operations alone, every ray of the batch marched together."""
+    """`guided` for one guide by torch operations alone, every ray of the batch marched together."""
     step = torch.atan2(torch.full_like(radius, field.resolution_m / 2), radius)
     rays = math.ceil(HALF_SECTOR_RAD / math.atan2(field.resolution_m / 2, longest_m))
     toward = torch.atan2(offset[:, 1], offset[:, 0])

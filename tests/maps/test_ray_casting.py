@@ -41,6 +41,11 @@ def random_pool(count, generator):
     return distance_transform(occupied, 0.1, 3.0)
 
 
+def guided(field, here, offset, radius):
+    """The edges of one guide, by the CPU operator."""
+    return ray_casting.guided(field, here, offset.unsqueeze(1), radius.unsqueeze(1), 3.0)[:, 0]
+
+
 @pytest.fixture(scope="module")
 def poses():
     """Random places, also off the map and inside obstacles, all guides, the scalar answers."""
@@ -131,8 +136,17 @@ def test_edges_of_the_cpu_operator_differ_in_at_most_two_of_a_thousand_poses(
     poses,
 ):
     esdf, index, here, offset, radius, edges, _ = poses
-    ours = ray_casting.guided(field_of(esdf, index), here, offset, radius, 3.0)
+    ours = guided(field_of(esdf, index), here, offset, radius)
     assert share_that_differs(ours, edges) <= MISMATCHES
+
+
+def test_several_guides_at_once_give_the_edges_of_each_alone(poses):
+    esdf, index, here, offset, radius, _, _ = poses
+    field = field_of(esdf, index)
+    offsets, radii = torch.stack((offset, -offset), 1), torch.stack((radius, radius / 2), 1)
+    together = ray_casting.guided(field, here, offsets, radii, 3.0)
+    assert torch.equal(together[:, 0], guided(field, here, offset, radius))
+    assert torch.equal(together[:, 1], guided(field, here, -offset, radius / 2))
 
 
 def test_edges_in_torch_differ_in_at_most_two_of_a_thousand_poses(poses):
@@ -151,10 +165,10 @@ def test_free_distances_of_the_cpu_operator_differ_in_at_most_two_of_a_thousand_
 def test_many_rows_are_shared_out_among_threads_without_a_change(poses):
     esdf, index, here, offset, radius, _, _ = poses
     field = field_of(esdf, index)
-    alone = ray_casting.guided(field, here, offset, radius, 3.0)
+    alone = guided(field, here, offset, radius)
     torch.set_num_threads(3)
     try:
-        shared = ray_casting.guided(field, here, offset, radius, 3.0)
+        shared = guided(field, here, offset, radius)
     finally:
         torch.set_num_threads(1)
     assert torch.equal(alone, shared)
@@ -183,7 +197,7 @@ def edges(esdf, here, offset, radius):
     """The edges by the CPU operator, after checking that the torch and the scalar version agree."""
     field = field_of(esdf, torch.zeros(1, dtype=torch.int64), origin=(0.0, 0.0), size=(12.0, 12.0))
     arguments = torch.tensor([here]), torch.tensor([offset]), torch.tensor([radius])
-    ours = ray_casting.guided(field, *arguments, 3.0)
+    ours = guided(field, *arguments)
     assert_close(ours, ray_casting.guided_in_torch(field, *arguments, 3.0), atol=1e-5, rtol=0)
     target = (here[0] + offset[0], here[1] + offset[1])
     scalar = scalar_kgp.guided(scalar_kgp.Map(esdf[0].double().tolist()), here, target, radius)

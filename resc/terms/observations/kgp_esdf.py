@@ -83,12 +83,13 @@ class KgpEsdf(Observation):
         to_velocity = _toward_velocity(velocity, to_point)
         reach = torch.linalg.vector_norm(to_velocity[:, :2], dim=-1) + INFLATION_M
         reach = reach.clamp(max=self.longest_guide_m)
-        point_reach = torch.full_like(reach, CONTROL_POINT_RADIUS_M)
+        radius = torch.stack((reach, torch.full_like(reach, CONTROL_POINT_RADIUS_M)), -1)
+        guides = torch.stack((to_velocity, to_point), 1)[..., :2]
+        longest_m = max(self.longest_guide_m, CONTROL_POINT_RADIUS_M)
         measured = to_velocity if self.free_distance == "velocity" else to_point
         return torch.cat(
             (
-                guided(field, here, to_velocity[:, :2], reach, self.longest_guide_m),
-                guided(field, here, to_point[:, :2], point_reach, CONTROL_POINT_RADIUS_M),
+                guided(field, here, guides, radius, longest_m).flatten(1),
                 free_distance(field, here, measured[:, :2], FREE_RANGE_M).unsqueeze(-1),
             ),
             -1,
