@@ -2,8 +2,8 @@
 
 Positions in single precision, from the map's lower-left corner, directions in double: as near to
 exact arithmetic as single-precision maps allow. Inner loops over lanes are written for the compiler
-to turn into vector instructions: no branches, one array for all that belongs to the lanes. The kernels are marked `no_type_check`: numba cannot compile the wrappers of the tests'
-type checker.
+to turn into vector instructions: no branches, one array for all that belongs to the lanes. The
+kernels are marked `no_type_check`: numba cannot compile the wrappers of the tests' type checker.
 """
 
 import functools
