@@ -150,6 +150,12 @@ class RolloutRecorder:
         leaves, wait = to_host({(name,): tensor for name, tensor in message.items()})
         self._queue.put(partial(self._write_world, leaves, wait, start_step, time.time_ns()))
 
+    def flush(self) -> None:
+        """Wait until everything put so far is on the disk."""
+        self._check_open()
+        self._queue.join()
+        self._raise_error()
+
     def close(self) -> None:
         """Write what is waiting and complete the file; a second call does nothing."""
         if os.getpid() != self._process:
@@ -208,6 +214,7 @@ class RolloutRecorder:
         """The thread: jobs in order; after an error it only empties the queue for its callers."""
         while (job := self._queue.get()) is not None:
             self._attempt(job)
+            self._queue.task_done()
         self._attempt(self._segments.finish)
 
     def _attempt(self, job: Callable[[], None]) -> None:

@@ -190,13 +190,21 @@ def test_a_full_disk_raises_once_and_leaves_what_was_written(tmp_path, monkeypat
 def test_a_disk_that_fills_up_at_the_end_is_reported_by_close(tmp_path, monkeypatch):
     target = recorder(tmp_path)
     target.put(rollout(0), 0)
-    while target.batches_written < 1:
-        time.sleep(0.001)
+    target.flush()
     monkeypatch.setattr(os, "write", FullDisk(20))
     with pytest.raises(RecordingError, match="is full"):
         target.close()
     target.close()
     assert_holds(RolloutLog(tmp_path), 1)
+
+
+def test_flush_reports_a_full_disk_instead_of_waiting_for_ever(tmp_path, monkeypatch):
+    target = recorder(tmp_path)
+    monkeypatch.setattr(os, "write", FullDisk(20))
+    target.put(rollout(0), 0)
+    with pytest.raises(RecordingError, match="is full"):
+        target.flush()
+    target.close()
 
 
 def test_the_first_error_is_the_one_that_is_raised(tmp_path, monkeypatch):
