@@ -1,1 +1,3 @@
-"""Measurements of speed; each script prints a table and where it was taken."""
+"""Scripts that measure speed."""
+
+import resc as resc  # before torch: it sets how torch's threads wait

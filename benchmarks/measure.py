@@ -54,6 +54,11 @@ def load(overrides: list[str]) -> DictConfig:
         return compose("train", overrides)
 
 
+def forget_compiled() -> None:
+    """Lets the next task compile anew, so that it cannot meet the guards of the last."""
+    torch.compiler.reset()
+
+
 class Flight:
     """The environment used as training does, under random actions.
 

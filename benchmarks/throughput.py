@@ -14,8 +14,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-
 sys.path.insert(0, str(Path(__file__).parents[1]))  # when started as a file
 
 from benchmarks.measure import (
@@ -26,6 +24,7 @@ from benchmarks.measure import (
     Effort,
     Flight,
     Rate,
+    forget_compiled,
     load,
     machine,
     median_rate,
@@ -67,7 +66,7 @@ def environment_rows(task: str, args: argparse.Namespace, effort: Effort) -> Ite
             config = load(
                 [*TASKS[task], f"num_envs={envs}", f"compile={compiled}", f"device={args.device}"]
             )
-            torch.compiler.reset()
+            forget_compiled()
             flight = Flight(build_env(config, pool))
             rate = median_rate(flight.run, effort, threads=args.threads)
             key = (
@@ -83,7 +82,7 @@ def environment_rows(task: str, args: argparse.Namespace, effort: Effort) -> Ite
 def ppo_rows(task: str, args: argparse.Namespace, effort: Effort) -> Iterator[Row]:
     """Whole PPO iterations as `train.py` runs them, without recorder and logger."""
     for envs in (LARGEST,) if args.quick else PPO_SIZES:
-        torch.compiler.reset()
+        forget_compiled()
         trainer = build_trainer(load([*TASKS[task], f"num_envs={envs}", f"device={args.device}"]))
 
         def run(iterations: int, trainer=trainer) -> int:  # noqa: ANN001 - bound here, not a parameter
@@ -99,7 +98,7 @@ def ppo_rows(task: str, args: argparse.Namespace, effort: Effort) -> Iterator[Ro
 
 def sb3_rows(task: str, args: argparse.Namespace, effort: Effort) -> Iterator[Row]:
     """Stable-Baselines3's PPO through the Gymnasium interface, on the CPU."""
-    torch.compiler.reset()
+    forget_compiled()
     pool = _pool(task, "cpu")
     for envs, minibatch in SB3_SETUPS[:1] if args.quick else SB3_SETUPS:
         rate = _sb3_rate(
