@@ -118,9 +118,9 @@ SURFACE_CLEARANCE = _declare(
 EULER = _declare(("sensor", "euler"), (3,), "rad", "roll, pitch, yaw (ZYX)")
 LIMIT_VIOLATIONS = _declare(
     ("sensor", "limit_violations"),
-    (1,),
+    (4,),
     "-",
-    "how many of speed, acceleration, attitude exceed their limits",
+    "1 for each of speed, acceleration, roll, pitch over its limit",
 )
 
 TERMINATED = _declare(("terminated",), (1,), "-", "the episode ended in its own right", torch.bool)

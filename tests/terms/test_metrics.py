@@ -49,7 +49,8 @@ def test_energy_integrates_squared_jerk_from_the_second_step_on():
 
 
 def test_a_step_over_several_limits_counts_once():
-    assert run(StepsOverLimit(), ([[0.0]],), ([[3.0]],), ([[1.0]],)) == 2.0
+    steps = ([0.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+    assert run(StepsOverLimit(), *(([flags],) for flags in steps)) == 2.0
 
 
 def test_time_within_is_the_first_time_and_stays():

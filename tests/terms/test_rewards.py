@@ -7,13 +7,20 @@ from torch.testing import assert_close
 
 from resc.errors import ConfigError
 from resc.math.rotation import quaternion_from_euler
+from resc.simulation.vehicle import Vehicle
 from resc.term import Context
+from resc.terms.rewards.action_rate import ActionRate
+from resc.terms.rewards.active_yaw import LookAlongVelocity, LookAtControlPoint
 from resc.terms.rewards.arrival import Arrival
 from resc.terms.rewards.body_rate import BodyRateNorm
+from resc.terms.rewards.clearance_margin import ClearanceMargin
+from resc.terms.rewards.collision import Collision
 from resc.terms.rewards.crash import Crash
 from resc.terms.rewards.dynamics_limits import DynamicsLimits
+from resc.terms.rewards.energy import Energy
 from resc.terms.rewards.field_of_view import FieldOfView
 from resc.terms.rewards.finish import Finish
+from resc.terms.rewards.jerk import Jerk
 from resc.terms.rewards.progress import Progress
 from resc.terms.rewards.time import Time
 
@@ -144,9 +151,14 @@ def test_every_passing_is_an_arrival():
     ]
 
 
-def test_every_broken_limit_costs_one():
-    violations = torch.tensor([[0.0], [1.0], [3.0]])
-    assert_close(DynamicsLimits(weight=5.0).compute(violations), -violations)
+def test_every_broken_limit_costs_one_and_tilt_counts_once_or_by_axis():
+    violations = torch.tensor([[0.0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1], [0, 1, 1, 1]])
+    once, apart = (
+        DynamicsLimits(weight=5.0, roll_and_pitch_apart=apart).compute(violations)[:, 0].tolist()
+        for apart in (False, True)
+    )
+    assert once == [0, -1, -1, -2]
+    assert apart == [0, -1, -1, -3]
 
 
 def test_the_norm_of_the_body_rate_is_a_cost():
@@ -203,3 +215,112 @@ def test_a_control_point_too_near_to_have_a_direction_counts_as_seen():
 def test_impossible_angles_of_view_are_refused(wrong):
     with pytest.raises(ConfigError, match="horizontal_rad"):
         FieldOfView(weight=1.0, **wrong)
+
+
+def test_below_the_radius_of_a_collision_every_step_costs_one():
+    clearance = torch.tensor([[0.2829], [0.3], [3.0]])
+    assert Collision(weight=350.0).compute(clearance)[:, 0].tolist() == [-1, 0, 0]
+
+
+def test_the_cost_of_clearance_falls_from_one_at_the_obstacle_to_none_at_the_margin():
+    clearance = torch.tensor([[0.0], [0.3], [0.6], [3.0]])
+    cost = ClearanceMargin(weight=1.0, margin_m=0.6).compute(clearance)
+    assert_close(cost, torch.tensor([[-1.0], [-0.5], [0.0], [0.0]]))
+
+
+def test_jerk_costs_its_square_times_the_period_from_the_second_step_on():
+    term = Jerk(weight=1.0)
+    term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
+    acceleration = torch.tensor([[0.1, 0.2, -0.2], [0.1, 0.2, -0.2]])
+    cost = term.compute(acceleration, torch.zeros(2, 3), torch.tensor([[1.0], [2.0]]))
+    assert_close(cost, torch.tensor([[0.0], [-(15.0**2) * 0.02]]))  # |(5, 10, -10)| m/s^3
+
+
+def test_the_action_rate_compares_the_newest_actions_whatever_the_delay():
+    queue = torch.tensor([[[0.5, -0.5, 1.0, 0.0], [9.0, 9.0, 9.0, 9.0]]])
+    before = torch.tensor([[[0.5, 0.5, -1.0, 0.5], [7.0, 7.0, 7.0, 7.0]]])
+    cost = ActionRate(weight=1.0).compute(queue, before)
+    assert_close(cost, torch.tensor([[-(0.0 + 1.0 + 4.0 + 0.25)]]))
+
+
+def test_rotor_power_is_one_in_hover_and_grows_with_thrust_to_the_power_of_three_halves():
+    term = Energy(weight=1.0)
+    vehicle = Vehicle(
+        mass_kg=2.0,
+        inertia_kgm2=[0.01, 0.01, 0.01],
+        arm_x_m=0.1,
+        arm_y_m=[0.1, 0.1],
+        torque_coefficient_m=0.01,
+        thrust_polynomial_n=[0.0, 10.0, 0.0],
+    )
+    term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=vehicle))
+    thrust = 4.9 * torch.tensor([[1.0, 1.0, 1.0, 1.0], [4.0, 4.0, 4.0, 4.0], [4.0, 0.0, 1.0, -1.0]])
+    assert_close(term.compute(thrust), torch.tensor([[-1.0], [-8.0], [-2.25]]))
+
+
+def looks(yaw_deg, direction, pitch_deg=0.0):
+    """Both readings of active yaw, for a velocity and for a control point in the same direction."""
+    attitude = quaternion_from_euler(row(0.0, math.radians(pitch_deg), math.radians(yaw_deg)))
+    along = LookAlongVelocity(weight=1.0, slow_mps=0.5).compute(attitude, row(*direction))
+    position = row(1.0, 2.0, 3.0)
+    points = torch.stack((position + row(*direction), row(-9.0, -9.0, 1.0)), 1)
+    toward = LookAtControlPoint(weight=1.0, near_m=0.5).compute(attitude, position, points)
+    assert_close(along, toward)
+    return float(along)
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "direction", "value"),
+    [
+        (0, (2.0, 0.0, 0.0), 0.0),
+        (90, (2.0, 0.0, 0.0), -1.0),
+        (-180, (2.0, 0.0, 0.0), -2.0),
+        (60, (0.0, 2.0, -5.0), math.cos(math.pi / 6) - 1),  # heights do not count
+        (-180, (0.25, 0.0, 0.0), -1.0),  # half the length at which it fades
+        (-180, (0.0, 0.0, 1.0), 0.0),
+    ],
+)
+def test_looking_away_costs_up_to_two_and_nothing_without_a_direction(yaw_deg, direction, value):
+    assert looks(yaw_deg, direction) == pytest.approx(value, abs=2e-4)
+
+
+def test_the_nose_that_points_down_still_looks_ahead():
+    assert looks(30, (2 * math.cos(math.pi / 6), 1.0, 0.0), pitch_deg=60) == pytest.approx(
+        0.0, abs=2e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "option"),
+    [
+        (Collision, "radius_m"),
+        (ClearanceMargin, "margin_m"),
+        (LookAlongVelocity, "slow_mps"),
+        (LookAtControlPoint, "near_m"),
+    ],
+)
+def test_lengths_and_speeds_of_rewards_must_be_above_zero(kind, option):
+    with pytest.raises(ConfigError, match=rf"{option} is 0.0; expected a number above zero"):
+        kind(weight=1.0, **{option: 0.0})
+
+
+PAPER = {"progress": 2.0, "time": 3.0, "crash": 350.0, "dynamics_limits": 5.0}
+SETS = {
+    "paper2025": PAPER | {"field_of_view": 0.5, "body_rate": 0.01, "finish": 20.0},
+    "paper2024": PAPER | {"body_rate": 0.01, "arrival": 10.0},
+}
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_a_paper_is_a_named_set_of_rewards(make_stages, name):
+    terms = {term.name: term for term in make_stages(f"reward={name}").terms.rewards}
+    assert {term: terms[term].weight for term in terms} == SETS[name]
+    assert terms["progress"].speed_mps == 3.0
+    assert terms["progress"].column_radius_m == {"paper2025": 0.5, "paper2024": None}[name]
+    assert terms["dynamics_limits"].roll_and_pitch_apart == (name == "paper2024")
+
+
+def test_a_named_set_can_be_extended_and_ablated(make_stages):
+    stages = make_stages("reward=[paper2024,energy]", "~reward.arrival")
+    names = [term.name for term in stages.terms.rewards]
+    assert names == [*(n for n in SETS["paper2024"] if n != "arrival"), "energy"]

@@ -17,23 +17,22 @@ def row(*values):
 
 def violations(speed=0.0, acceleration=0.0, roll=0.0, pitch=0.0, yaw=0.0):
     term = LimitViolations(speed_mps=3.0, acceleration_mps2=6.0, tilt_rad=0.6545)
-    return float(
-        term.compute(row(0.0, speed, 0.0), row(0.0, 0.0, -acceleration), row(roll, pitch, yaw))
-    )
+    flags = term.compute(row(0.0, speed, 0.0), row(0.0, 0.0, -acceleration), row(roll, pitch, yaw))
+    return flags[0].tolist()
 
 
-def test_each_broken_limit_counts_once():
-    assert violations(speed=2.9, acceleration=5.9, roll=0.65, pitch=-0.65, yaw=3.0) == 0
-    assert violations(speed=3.1) == 1
-    assert violations(acceleration=6.1) == 1
-    assert violations(roll=-0.66) == 1
-    assert violations(roll=0.66, pitch=0.66) == 1
-    assert violations(speed=3.1, acceleration=6.1, pitch=0.66) == 3
+def test_each_broken_limit_raises_its_own_flag():
+    assert violations(speed=2.9, acceleration=5.9, roll=0.65, pitch=-0.65, yaw=3.0) == [0, 0, 0, 0]
+    assert violations(speed=3.1) == [1, 0, 0, 0]
+    assert violations(acceleration=6.1) == [0, 1, 0, 0]
+    assert violations(roll=-0.66) == [0, 0, 1, 0]
+    assert violations(pitch=0.66) == [0, 0, 0, 1]
+    assert violations(speed=3.1, acceleration=6.1, roll=0.66, pitch=0.66) == [1, 1, 1, 1]
 
 
 def test_limits_hold_for_norms_not_for_single_axes():
-    term = LimitViolations()
-    assert float(term.compute(row(2.5, 2.5, 0.0), row(5.0, 5.0, 0.0), row(0.0, 0.0, 0.0))) == 2
+    flags = LimitViolations().compute(row(2.5, 2.5, 0.0), row(5.0, 5.0, 0.0), row(0.0, 0.0, 0.0))
+    assert flags[0].tolist() == [1, 1, 0, 0]
 
 
 @pytest.mark.parametrize("name", ["speed_mps", "acceleration_mps2", "tilt_rad"])

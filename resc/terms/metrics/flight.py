@@ -97,9 +97,9 @@ class StepsOverLimit(Metric):
     unit = "steps"
 
     def compute(
-        self, so_far: Float[Tensor, "n 1"], violations: Float[Tensor, "n 1"]
+        self, so_far: Float[Tensor, "n 1"], violations: Float[Tensor, "n 4"]
     ) -> Float[Tensor, "n 1"]:
-        return so_far + (violations > 0).to(so_far.dtype)
+        return so_far + violations.amax(-1, keepdim=True)
 
 
 class TimeWithin(Metric):

@@ -1,5 +1,6 @@
-"""How many dynamic limits the vehicle breaks."""
+"""Which dynamic limits the vehicle breaks."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -10,9 +11,9 @@ from resc.term import Sensor
 
 
 class LimitViolations(Sensor):
-    """n in {0..3}: how many of speed, acceleration, tilt exceed limits (2025 paper, eq. 8).
+    """1 for each of speed, acceleration, |roll|, |pitch| above its limit (both papers: eq. 8).
 
-    Speed and mean kinematic acceleration by their norms; tilt is the larger of |roll| and |pitch|.
+    Speed and mean kinematic acceleration by their norms.
     """
 
     reads = (keys.VELOCITY_W, keys.ACCELERATION_W, keys.EULER)
@@ -33,8 +34,8 @@ class LimitViolations(Sensor):
         velocity: Float[Tensor, "n 3"],
         acceleration: Float[Tensor, "n 3"],
         euler: Float[Tensor, "n 3"],
-    ) -> Float[Tensor, "n 1"]:
+    ) -> Float[Tensor, "n 4"]:
         fast = norm(velocity) > self.speed_mps
         hard = norm(acceleration) > self.acceleration_mps2
-        tilted = euler[:, :2].abs().amax(-1, keepdim=True) > self.tilt_rad
-        return fast.to(velocity.dtype) + hard.to(velocity.dtype) + tilted.to(velocity.dtype)
+        tilted = euler[:, :2].abs() > self.tilt_rad
+        return torch.cat((fast, hard, tilted), -1).to(velocity.dtype)

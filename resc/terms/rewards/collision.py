@@ -1,0 +1,27 @@
+"""Being too close to an obstacle to have missed it."""
+
+from jaxtyping import Float
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.term import Reward
+
+
+class Collision(Reward):
+    """-1 while the distance field at the vehicle is below `radius_m` (both papers: r_c).
+
+    Paid once an episode where the termination `collision` has the same radius, at every step spent
+    in the obstacle where nothing ends the episode. Other bad ends are free; `crash` charges all.
+    """
+
+    reads = (keys.CLEARANCE,)
+
+    def __init__(self, *, weight: float, radius_m: float = 0.3) -> None:
+        super().__init__(weight=weight)
+        if radius_m <= 0:
+            raise ConfigError(f"radius_m is {radius_m}; expected a number above zero.")
+        self.radius_m = radius_m
+
+    def compute(self, clearance: Float[Tensor, "n 1"]) -> Float[Tensor, "n 1"]:
+        return -(clearance < self.radius_m).to(clearance.dtype)
