@@ -21,7 +21,7 @@ from resc.errors import ConfigError
 from resc.math.sampling import generator_for
 from resc.scenes.layout import Layout
 from resc.scenes.pool import ScenePool
-from resc.term import Context, Observation, Reward, Term
+from resc.term import Observation, Reward, Term
 
 ALLOWED = ("resc.", "torch.optim.")
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
@@ -127,13 +127,9 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
     from resc import term as kinds  # the kinds by name; a flat import list would repeat them
 
     allowed = config.get("allowed_targets", ())
-    for name in ("dt_s", "resolution_m"):
-        if not config["env"][name] > 0:
-            raise ConfigError(f"env.{name} is {config['env'][name]}; expected a number above zero.")
     vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
-    context = Context(
-        dt_s=config["env"]["dt_s"], resolution_m=config["env"]["resolution_m"], vehicle=vehicle
-    )
+    constants = {name: value for name, value in config["env"].items() if name != "layout"}
+    context = build({"_target_": "resc.term.Context", **constants}, "env", vehicle=vehicle)
 
     def group(name: str, kind: type[Term]) -> list[Any]:
         return build_terms(config.get(name), name, kind, allowed)
@@ -199,13 +195,22 @@ def build_env(config: Mapping[str, Any], pool: ScenePool, **options: Any) -> Qua
 def _arguments_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """The named arguments of a function, or of a class's `__init__`.
 
-    Not the class's own signature: TensorDict's modules have a `__new__` that hides it in Python
-    before 3.11.4.
+    An `__init__` that ends in `**options` takes those of its base class, too. Not the class's own
+    signature: TensorDict's modules have a `__new__` that hides it in Python before 3.11.4.
     """
-    function = target.__init__ if inspect.isclass(target) else target
     named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    parameters = inspect.signature(function).parameters.items()
-    return {name: p for name, p in parameters if p.kind in named and name != "self"}
+    bases = [c for c in target.__mro__ if "__init__" in vars(c)] if inspect.isclass(target) else []
+    found: dict[str, inspect.Parameter] = {}
+    for function in [vars(base)["__init__"] for base in bases] or [target]:
+        parameters = inspect.signature(function).parameters
+        found |= {
+            name: p
+            for name, p in parameters.items()
+            if p.kind in named and name not in ("self", *found)
+        }
+        if not any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values()):
+            break
+    return found
 
 
 def load_config(path: Path) -> DictConfig:
@@ -263,6 +268,7 @@ def _checked(path: str, value: Any, annotation: Any) -> Any:
             raise ConfigError(f"{path} is {value!r}; expected a list.")
         (item,) = get_args(annotation)
         return [_checked(f"{path}[{number}]", part, item) for number, part in enumerate(value)]
-    if float in get_args(annotation) and value is not None:
-        return _checked(path, value, float)
+    for number in (float, int):
+        if number in get_args(annotation) and value is not None:
+            return _checked(path, value, number)
     return value

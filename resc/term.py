@@ -1,16 +1,20 @@
 """The protocol of every swappable part: keys in, tensors through `compute`, keys out."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypedDict
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
+from resc.math.sampling import gaussian
+
+FRAMES = ("world", "heading")
 
 
 @dataclass(frozen=True)
@@ -21,11 +25,27 @@ class Context:
         dt_s: Control period.
         resolution_m: Edge of a map cell.
         vehicle: Nominal parameters (see `resc.simulation.vehicle.Vehicle`).
+        observation_frame: What horizontal vectors of the observation are aligned with: the axes of
+            the world, or the vehicle's heading.
+        history: Steps that an observation shows when it does not say itself.
     """
 
     dt_s: float
     resolution_m: float
     vehicle: Any
+    observation_frame: str = "world"
+    history: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("dt_s", "resolution_m"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{name} is {getattr(self, name)}; expected a number above zero.")
+        if self.observation_frame not in FRAMES:
+            raise ConfigError(
+                f"observation_frame is '{self.observation_frame}'; expected world or heading."
+            )
+        if self.history < 1:
+            raise ConfigError(f"history is {self.history}; expected a whole number from 1 on.")
 
 
 class Term(TensorDictModuleBase):
@@ -34,6 +54,9 @@ class Term(TensorDictModuleBase):
     `writes = ()` means one key named by the configuration, `(group, name)`. Terms hold constants
     only; what must survive a step is written under a key with an `initial` value. `draws` uniform
     numbers per reset environment reach `compute` as its last argument when `draws > 0`.
+
+    A term that `eases` can be made easier: with `difficulty: name` in its configuration, the
+    difficulty of that name, [n, 1] in [0, 1], follows all other arguments of `compute`.
     """
 
     reads: ClassVar[tuple[NestedKey, ...]] = ()
@@ -42,6 +65,8 @@ class Term(TensorDictModuleBase):
     group: ClassVar[str] = ""
     draws: int = 0
     name: str = ""
+    eases: ClassVar[bool] = False
+    difficulty: str | None = None
 
     def bind(self, context: Context) -> None:
         """Takes the constants of its surroundings, once, before the first `compute`."""
@@ -67,10 +92,15 @@ class Term(TensorDictModuleBase):
 
     def run(self, tensors: dict[NestedKey, Tensor], *drawn: Tensor) -> None:
         """Reads from and writes to a flat dict: what the compiled step is made of."""
-        result = self.compute(*(tensors[key] for key in self.reads), *drawn)
+        given = (*(tensors[key] for key in self.reads), *drawn, *self.easing(tensors))
+        result = self.compute(*given)
         values = result if isinstance(result, tuple) else (result,)
         for key, value in zip(self.outputs, values, strict=True):
             tensors[key] = value
+
+    def easing(self, tensors: dict[NestedKey, Tensor]) -> tuple[Tensor, ...]:
+        """The difficulty that `compute` takes as its last argument, if one is configured."""
+        return (tensors[keys.difficulty(self.difficulty)],) if self.difficulty else ()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """TensorDict in, TensorDict out: the same as `run`, for tests and notebooks."""
@@ -93,35 +123,123 @@ class Sensor(Term):
     group = "sensor"
 
 
+class ObservationOptions(TypedDict, total=False):
+    """The arguments of `Observation`, which an observation with its own takes as `**options`."""
+
+    scale: float
+    noise: float
+    clip: float | None
+    history: int | None
+
+
 class Observation(Term):
     """A block of the observation vector, [n, width].
 
+    `compute` gives the raw SI values, world-aligned. What follows is the same for every block, in
+    this order: turning to the heading (where the run asks for it), scale, noise, clip, history.
+
+    y_t = clip(scale * (x_t + noise * z_t)), z_t standard normal; block = [y_t, y_t-1, ...].
+
+    The past is kept as it was seen: with its noise, clipped, aligned with the heading of its time.
+    At a reset there is none; the first observation then stands in every step, because zeros would
+    read as a real state (at rest, on the control point) and as a jump one step later.
+
+    `step_draws` uniform numbers in [0, 1) per environment reach `compute` as its last argument,
+    anew at every step and reset.
+
     Args:
         scale: Factor applied to the raw SI value.
+        noise: Standard deviation of Gaussian noise, in the unit of the raw value.
+        clip: Bound on the magnitude of the scaled, noisy value; null for none.
+        history: Steps shown, newest first; null for what `env.history` says.
     """
 
     group = "observation"
     columns: ClassVar[tuple[str, ...]] = ()
+    step_draws: int = 0
     compute: Callable[..., Tensor]
 
-    def __init__(self, *, scale: float = 1.0) -> None:
+    def __init__(
+        self,
+        *,
+        scale: float = 1.0,
+        noise: float = 0.0,
+        clip: float | None = None,
+        history: int | None = None,
+    ) -> None:
         super().__init__()
+        if not 0 <= noise < float("inf"):
+            raise ConfigError(f"noise is {noise}; expected a finite number from 0 on.")
+        if clip is not None and clip <= 0:
+            raise ConfigError(f"clip is {clip}; expected a number above zero, or null for none.")
+        if history is not None and history < 1:
+            raise ConfigError(
+                f"history is {history}; expected at least 1, or null for what env.history says."
+            )
         self.scale = scale
+        self.noise = noise
+        self.clip = clip
+        self.history = history
 
     @property
     def width(self) -> int:
-        """Number of columns."""
-        return len(self.columns)
+        """Number of columns, those of earlier steps included."""
+        return len(self.columns) * (self.history or 1)
+
+    @property
+    def column_names(self) -> list[str]:
+        """A name for each of the `width` columns; those of earlier steps end in `_1_ago` etc."""
+        ages = range(self.history or 1)
+        return [f"{name}_{age}_ago" if age else name for age in ages for name in self.columns]
+
+    @property
+    def vectors(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of columns that are x and y of a horizontal vector: those named `_x` and `_y`."""
+        at = {name: number for number, name in enumerate(self.columns)}
+        pairs = ((name, f"{name[:-1]}y") for name in self.columns if f"_{name}".endswith("_x"))
+        return tuple((at[x], at[y]) for x, y in pairs if y in at)
+
+    def turned(self, raw: Tensor, heading: Tensor) -> Tensor:
+        """The raw values [n, c] with their vectors turned by minus the yaw.
+
+        (x, y) -> (c x + s y, c y - s x), `heading` being the yaw's cosine and sine [n, 2].
+        """
+        cosine, sine = heading.unbind(-1)
+        columns = list(raw.unbind(-1))
+        for i, j in self.vectors:
+            x, y = columns[i], columns[j]
+            columns[i], columns[j] = cosine * x + sine * y, cosine * y - sine * x
+        return torch.stack(columns, -1)
+
+    def shaped(self, raw: Tensor, unit: Tensor | None = None) -> Tensor:
+        """Scale, noise from uniform numbers `unit` [n, c], clip; history is the step's."""
+        value = raw * self.scale
+        if unit is not None:
+            value = value + self.scale * self.noise * gaussian(unit)
+        return value if self.clip is None else value.clamp(-self.clip, self.clip)
 
 
 class Reward(Term):
-    """An unweighted reward, [n, 1]; the environment adds `weight` times it to the reward."""
+    """An unweighted reward, [n, 1]; the environment adds `weight` times it to the reward.
+
+    With `difficulty: name` in its configuration, that difficulty scales the weight.
+    """
 
     group = "reward"
+    eases = True
 
     def __init__(self, *, weight: float) -> None:
         super().__init__()
         self.weight = weight
+
+    def easing(self, tensors: dict[NestedKey, Tensor]) -> tuple[Tensor, ...]:
+        """Nothing: the difficulty is the weight's."""
+        return ()
+
+    def weighted(self, tensors: dict[NestedKey, Tensor]) -> Tensor:
+        """Its summand of the reward, [n, 1]."""
+        value = tensors[self.outputs[0]] * self.weight
+        return value * tensors[keys.difficulty(self.difficulty)] if self.difficulty else value
 
 
 class Termination(Term):
@@ -153,6 +271,20 @@ class Metric(Term):
     start: ClassVar[float] = 0.0
     freezes_at_finish: ClassVar[bool] = True
     compute: Callable[..., Tensor]
+
+
+class Curriculum(Term):
+    """Gives one named difficulty in [0, 1], [1, 1], after every batch of training.
+
+    Parts name the difficulty that eases them in their configuration and meet its new value at their
+    next reset. What a curriculum remembers stands under the keys of `initial`. Scenes are laid out
+    in advance at its `levels`, in ascending order; a difficulty between two of them draws episodes
+    from both.
+    """
+
+    group = "difficulty"
+    writes = (keys.CURRICULUM_DIFFICULTY,)
+    levels: Sequence[float]
 
 
 def uniform_between(unit: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor:

@@ -33,6 +33,8 @@ class QuadrotorEnv(EnvBase):
         in_order: Resets walk through the pool, row i starting at entry i, instead of drawing
             entries: for evaluation.
         closed: Entries of the pool, next in turn for renewal, that no episode starts in.
+
+    Episodes begin at full difficulty unless `set_difficulty` says otherwise.
     """
 
     def __init__(
@@ -67,6 +69,10 @@ class QuadrotorEnv(EnvBase):
             )
         self._make_specs()
         self.set_seed(seed)
+        self.difficulties = {
+            name: torch.ones(1, 1, device=self.device) for name in stages.difficulties
+        }
+        self.scene_difficulty = 1.0
         self._world: World = {}
         self.observation = torch.zeros(num_envs, self.observation_width, device=self.device)
 
@@ -97,7 +103,8 @@ class QuadrotorEnv(EnvBase):
         """
         if not action.isfinite().all():
             self._report_bad_action(action)
-        self._world, out = self._step_function(self._world, self.pool.shared, action)
+        drawn = self._draw(self.step_draws, self.num_envs)
+        self._world, out = self._step_function(self._world, self.pool.shared, action, drawn)
         self.observation = out.observation
         self.steps_taken += 1
         return out
@@ -116,10 +123,8 @@ class QuadrotorEnv(EnvBase):
             target = part[filled].to(self.device)
             entry = self._entries(part)[filled].unsqueeze(-1).to(self.device)
             drawn = {
-                name: torch.rand(len(part), width, generator=self.generators[name])[filled].to(
-                    self.device
-                )
-                for name, width in self.draws.items()
+                name: block[filled.to(self.device)]
+                for name, block in self._draw(self.draws, len(part)).items()
             }
             self._restart_function(
                 self._world,
@@ -129,6 +134,7 @@ class QuadrotorEnv(EnvBase):
                 self.pool.tasks,
                 self.pool.shared,
                 drawn,
+                self.difficulties,
             )
         return self.observation
 
@@ -140,6 +146,12 @@ class QuadrotorEnv(EnvBase):
         entries = self.pool.renew(count).to(self.device)
         return torch.isin(self._world[keys.SCENE_INDEX][:, 0], entries).nonzero()[:, 0]
 
+    def set_difficulty(self, name: str, value: float) -> None:
+        """Eases the episodes that begin from now on; 1 is full difficulty, as at construction."""
+        self.difficulties[name].fill_(value)  # in place: an input of the compiled reset
+        if name == self.stages.scene_difficulty:
+            self.scene_difficulty = value
+
     def generator_states(self) -> dict[str, Tensor]:
         """States of all generators, for a checkpoint."""
         return {name: generator.get_state() for name, generator in self.generators.items()}
@@ -149,15 +161,24 @@ class QuadrotorEnv(EnvBase):
         for name, state in states.items():
             self.generators[name].set_state(state)
 
+    def _draw(self, widths: dict[str, int], count: int) -> dict[str, Tensor]:
+        """Uniform numbers in [0, 1) [count, width] from each named generator.
+
+        Drawn on the CPU, so that every device sees the same bits.
+        """
+        return {
+            name: torch.rand(count, width, generator=self.generators[name]).to(self.device)
+            for name, width in widths.items()
+        }
+
     def _entries(self, rows: Tensor) -> Tensor:
         """Pool entries for new episodes of the given rows."""
         if self.in_order:
             entries = (rows + self.visits[rows] * self.num_envs) % len(self.pool)
             self.visits[rows] += 1
             return entries
-        return self.pool.entry(
-            torch.rand(len(rows), generator=self.generators["scene"]), self.closed
-        )
+        unit = torch.rand(len(rows), generator=self.generators["scene"])
+        return self.pool.entry(unit, self.closed, self.scene_difficulty)
 
     def _restart_rows(
         self,
@@ -168,8 +189,9 @@ class QuadrotorEnv(EnvBase):
         tasks: World,
         shared: World,
         drawn: dict[str, Tensor],
+        difficulties: dict[str, Tensor],
     ) -> None:
-        fresh, seen = self.stages.restart(tasks, entry, shared, drawn)
+        fresh, seen = self.stages.restart(tasks, entry, shared, drawn, difficulties)
         for key, value in fresh.items():
             world[key].index_copy_(0, rows, value)
         observation.index_copy_(0, rows, seen)
@@ -180,7 +202,9 @@ class QuadrotorEnv(EnvBase):
             name: torch.zeros(1, width, device=self.device) for name, width in self.draws.items()
         }
         entry = torch.zeros(1, 1, dtype=torch.int64, device=self.device)
-        fresh, _ = self.stages.restart(self.pool.tasks, entry, self.pool.shared, drawn)
+        fresh, _ = self.stages.restart(
+            self.pool.tasks, entry, self.pool.shared, drawn, self.difficulties
+        )
         self._world = {
             key: value.new_zeros(self.num_envs, *value.shape[1:]) for key, value in fresh.items()
         }
@@ -201,7 +225,8 @@ class QuadrotorEnv(EnvBase):
             for t in (*self.stages.terms.randomizations, self.stages.terms.initial_state)
             if t.draws
         ]
-        self.draws = {term.name: term.draws for term in drawing}
+        self.step_draws = self.stages.step_draws
+        self.draws = {term.name: term.draws for term in drawing} | self.step_draws
         names = ["scene", *self.draws]
         self.generators = {name: generator_for(self.seed_value, name) for name in names}
         self.visits.zero_()

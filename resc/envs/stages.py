@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import DECLARED, NestedKey, previous
+from resc.math.rotation import heading
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import (
     Action,
@@ -81,19 +82,31 @@ class StepOutput(NamedTuple):
 class Stages(nn.Module):
     """Runs terms in the order of the architecture's stages, on flat dicts of tensors.
 
+    Args:
+        terms: The terms.
+        context: Constants of their surroundings.
+        scene_difficulty: Name of the difficulty that scenes are laid out at, if one eases them.
+
     Raises:
         ConfigError: A term reads a key that nothing before it writes.
     """
 
-    def __init__(self, terms: Terms, context: Context) -> None:
+    def __init__(
+        self, terms: Terms, context: Context, scene_difficulty: str | None = None
+    ) -> None:
         super().__init__()
         self.terms = terms
+        self.scene_difficulty = scene_difficulty
+        eased = (scene_difficulty, *(term.difficulty for term in terms))
+        self.difficulties = tuple(dict.fromkeys(name for name in eased if name))
         self.modules_of_terms = nn.ModuleList(
             list(terms)
         )  # so that .to(device) reaches their buffers
         self.context = context
         for term in terms:
             term.bind(context)
+        for term in terms.observations:
+            term.history = term.history or context.history
         for name, value in context.vehicle.parameters().items():
             self.register_buffer(_buffer_name(name), value, persistent=False)
         own = {key for term in terms for key in (*term.outputs, *term.initial)}
@@ -109,11 +122,28 @@ class Stages(nn.Module):
     def observation_columns(self) -> list[str]:
         """Names of the observation's numbers: term.column."""
         return [
-            f"{term.name}.{column}" for term in self.terms.observations for column in term.columns
+            f"{term.name}.{column}"
+            for term in self.terms.observations
+            for column in term.column_names
         ]
 
-    def step(self, world: World, shared: World, action: Tensor) -> tuple[World, StepOutput]:
-        """One control step of every environment: the next world and what the learner sees of it."""
+    @property
+    def step_draws(self) -> dict[str, int]:
+        """Widths of the uniform blocks drawn anew at every step and reset, by generator.
+
+        An observation's noise has a generator of its own, so that it leaves its other draws alone.
+        """
+        own = {_draws(term): term.step_draws for term in self.terms.observations}
+        noise = {_noise(term): len(term.columns) for term in self.terms.observations if term.noise}
+        return {name: width for name, width in (own | noise).items() if width}
+
+    def step(
+        self, world: World, shared: World, action: Tensor, drawn: Mapping[str, Tensor]
+    ) -> tuple[World, StepOutput]:
+        """One control step of every environment: the next world and what the learner sees of it.
+
+        `drawn` holds the blocks [n, width] that `step_draws` names.
+        """
         terms = self.terms
         tensors = {**world, **shared, keys.ACTION: action, keys.CLOCK: world[keys.CLOCK] + 1}
         for key in self.memory:
@@ -130,13 +160,11 @@ class Stages(nn.Module):
         self._finish(tensors)
         for term in terms.rewards:
             term.run(tensors)
-        reward_terms = torch.cat(
-            [tensors[term.outputs[0]] * term.weight for term in terms.rewards], -1
-        )
+        reward_terms = torch.cat([term.weighted(tensors) for term in terms.rewards], -1)
         for term in terms.metrics:
             self._advance_metric(term, tensors)
         out = StepOutput(
-            observation=self._observe(tensors),
+            observation=self._observe(tensors, drawn, first=False),
             reward=reward_terms.sum(-1, keepdim=True),
             terminated=tensors[keys.TERMINATED],
             truncated=tensors[keys.TRUNCATED],
@@ -147,14 +175,26 @@ class Stages(nn.Module):
         return {key: tensors[key] for key in world}, out
 
     def restart(
-        self, tasks: World, index: Tensor, shared: World, drawn: Mapping[str, Tensor]
+        self,
+        tasks: World,
+        index: Tensor,
+        shared: World,
+        drawn: Mapping[str, Tensor],
+        difficulties: Mapping[str, Tensor],
     ) -> tuple[World, Tensor]:
-        """World and observation of episodes that begin in the pool's entries `index` [k, 1]."""
+        """World and observation of episodes that begin in the pool's entries `index` [k, 1].
+
+        They keep the `difficulties` [1, 1] of now, that of the scene as the entry was laid out.
+        """
         terms = self.terms
         count = index.shape[0]
         tensors = {**shared, keys.SCENE_INDEX: index}
         for key, value in tasks.items():
             tensors[key] = value[index[:, 0]]
+        for name in self.difficulties:
+            own = name == self.scene_difficulty
+            level = tensors[keys.SCENE_DIFFICULTY] if own else difficulties[name]
+            tensors[keys.difficulty(name)] = level.expand(count, 1)
         for key in self.context.vehicle.parameters():
             tensors[key] = getattr(self, _buffer_name(key)).expand(count, -1)
         for term in (*terms.randomizations, terms.initial_state):
@@ -183,7 +223,7 @@ class Stages(nn.Module):
         for term in terms.sensors:
             if all(key in tensors for key in term.reads):
                 term.run(tensors)
-        observation = self._observe(tensors)
+        observation = self._observe(tensors, drawn, first=True)
         return {key: tensors[key] for key in self.persistent}, observation
 
     @property
@@ -199,7 +239,10 @@ class Stages(nn.Module):
         ]
         kept = [key for term in self.terms for key in term.initial]
         metrics = [term.outputs[0] for term in self.terms.metrics]
-        return [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *dict.fromkeys(kept), *metrics]
+        seen = [t.outputs[0] for t in self.terms.observations if t.width > len(t.columns)]
+        eased = [keys.difficulty(name) for name in self.difficulties]
+        kept = list(dict.fromkeys(kept))
+        return [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *kept, *metrics, *seen, *eased]
 
     def _finish(self, tensors: World) -> None:
         """Combines the terminations into terminated, truncated, done and the outcome's number."""
@@ -228,11 +271,23 @@ class Stages(nn.Module):
             value = torch.where(tensors[previous(keys.FINISHED)], tensors[key], value)
         tensors[key] = value
 
-    def _observe(self, tensors: World) -> Tensor:
-        blocks = [
-            term.compute(*(tensors[key] for key in term.reads)) * term.scale
-            for term in self.terms.observations
-        ]
+    def _observe(self, tensors: World, drawn: Mapping[str, Tensor], *, first: bool) -> Tensor:
+        """All blocks [n, width]; those with a history are kept in the world under their key."""
+        turning = self.context.observation_frame == "heading"
+        ahead = heading(tensors[keys.ATTITUDE_WB]) if turning else None
+        blocks = []
+        for term in self.terms.observations:
+            own = [drawn[_draws(term)]] if term.step_draws else []
+            block = term.compute(*(tensors[key] for key in term.reads), *own)
+            if ahead is not None:
+                block = term.turned(block, ahead)
+            block = term.shaped(block, drawn[_noise(term)] if term.noise else None)
+            one = len(term.columns)
+            if term.width > one:
+                (key,) = term.outputs
+                past = block.repeat(1, term.width // one - 1) if first else tensors[key][:, :-one]
+                block = tensors[key] = torch.cat((block, past), -1)
+            blocks.append(block)
         return torch.cat(blocks, -1)
 
     def _check_wiring(self) -> None:
@@ -260,6 +315,16 @@ def _require(term: Term, known: set[NestedKey], fact: str) -> None:
                 f"{term.group or 'term'}.{term.name} reads {'.'.join(key)}, {fact}; "
                 "add a term that writes it, or drop this one."
             )
+
+
+def _draws(term: Observation) -> str:
+    """Name of the generator of an observation's own draws."""
+    return f"observation.{term.name}"
+
+
+def _noise(term: Observation) -> str:
+    """Name of the generator of an observation's noise."""
+    return f"observation.{term.name}.noise"
 
 
 def _buffer_name(key: NestedKey) -> str:

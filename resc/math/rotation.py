@@ -31,6 +31,18 @@ def body_x_w(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3"]:
     return torch.stack((1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)), -1)
 
 
+def heading(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 2"]:
+    """Cosine and sine of the yaw: the body's forward axis, seen from above; nose up, that of yaw 0.
+
+    The yaw of the ZYX angles is the direction of this axis.
+    """
+    x, y, _ = body_x_w(attitude).unbind(-1)
+    length = torch.hypot(x, y)
+    defined = length > 1e-6
+    length = torch.where(defined, length, 1.0)
+    return torch.stack((torch.where(defined, x / length, 1.0), y / length), -1)
+
+
 def body_z_w(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3"]:
     """The body's upward axis, the direction of thrust, in the world frame."""
     w, x, y, z = attitude.unbind(-1)

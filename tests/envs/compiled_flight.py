@@ -32,8 +32,8 @@ def graph():
     world = {key: env.value_of(key) for key in env.stages.persistent}
     step = torch.compile(env.stages.step, fullgraph=True, dynamic=False, backend="eager")
     with torch.no_grad():
-        traced = step(world, env.pool.shared, torch.zeros(ROWS, 4))
-        plain = env.stages.step(world, env.pool.shared, torch.zeros(ROWS, 4))
+        traced = step(world, env.pool.shared, torch.zeros(ROWS, 4), {})
+        plain = env.stages.step(world, env.pool.shared, torch.zeros(ROWS, 4), {})
     same("observation", traced[1].observation, plain[1].observation)
 
 

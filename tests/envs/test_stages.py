@@ -120,7 +120,7 @@ def test_gradients_flow_through_a_step_to_the_action(make_env):
     world = dict(env.world.flatten_keys(".").items())
     world = {tuple(key.split(".")): value for key, value in world.items()}
     for _ in range(2):
-        world, out = env.stages.step(world, env.pool.shared, action)
+        world, out = env.stages.step(world, env.pool.shared, action, {})
     out.reward.sum().backward()
     assert action.grad.isfinite().all()
     assert (action.grad[:, 3] != 0).any()

@@ -1,5 +1,6 @@
 """Attitude as Euler angles."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -8,10 +9,17 @@ from resc.term import Observation
 
 
 class Attitude(Observation):
-    """Roll, pitch, yaw [rad], yaw in (-pi, pi] (facts 3, 5-7)."""
+    """Roll, pitch, yaw [rad], yaw in (-pi, pi] (facts 3, 5-7).
+
+    Seen from the vehicle's heading, the yaw is 0 by definition; its column stays.
+    """
 
     reads = (keys.EULER,)
     columns = ("roll", "pitch", "yaw")
 
     def compute(self, euler: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         return euler
+
+    def turned(self, raw: Float[Tensor, "n 3"], heading: Float[Tensor, "n 2"]) -> Tensor:
+        """Roll and pitch, and a yaw of zero."""
+        return torch.stack((raw[:, 0], raw[:, 1], torch.zeros_like(raw[:, 2])), -1)

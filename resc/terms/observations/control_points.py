@@ -9,7 +9,7 @@ from resc.term import Observation
 
 
 class ControlPointOffsets(Observation):
-    """cp0 - p, cp1 - p, cp1 - cp0 [m], world-aligned (facts 3, 31-39).
+    """cp0 - p, cp1 - p, cp1 - cp0 [m] (facts 3, 31-39).
 
     cp1 - cp0 is zero at the last control point.
     """

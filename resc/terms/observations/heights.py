@@ -1,11 +1,13 @@
 """Distances to ceiling and ground."""
 
+from typing import Unpack
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
-from resc.term import Observation
+from resc.term import Observation, ObservationOptions
 
 
 class Heights(Observation):
@@ -13,14 +15,14 @@ class Heights(Observation):
 
     Args:
         ceiling_m: Height of the ceiling.
-        scale: Factor on both.
+        **options: Of every observation.
     """
 
     reads = (keys.POSITION_W,)
     columns = ("to_ceiling", "to_ground")
 
-    def __init__(self, *, ceiling_m: float = 2.0, scale: float = 1.0) -> None:
-        super().__init__(scale=scale)
+    def __init__(self, *, ceiling_m: float = 2.0, **options: Unpack[ObservationOptions]) -> None:
+        super().__init__(**options)
         self.ceiling_m = ceiling_m
 
     def compute(self, position: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2"]:

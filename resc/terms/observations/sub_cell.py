@@ -10,11 +10,16 @@ from resc.term import Context, Observation
 class SubCell(Observation):
     """Offset from the cell's lower-left corner [m], in [0, resolution) (facts 3, 0-1).
 
-    What the grid look-ups cannot see.
+    What the grid look-ups cannot see. Bound to the map's grid, so it is never turned.
     """
 
     reads = (keys.POSITION_W, keys.SCENE_INDEX, keys.MAP_ORIGIN_W)
     columns = ("x", "y")
+
+    @property
+    def vectors(self) -> tuple[tuple[int, int], ...]:
+        """None."""
+        return ()
 
     def bind(self, context: Context) -> None:
         """Takes the size of a map cell."""

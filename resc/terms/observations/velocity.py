@@ -8,7 +8,7 @@ from resc.term import Observation
 
 
 class Velocity(Observation):
-    """Velocity [m/s], world-aligned (facts 3, 2-4)."""
+    """Velocity [m/s] (facts 3, 2-4)."""
 
     reads = (keys.VELOCITY_W,)
     columns = ("x", "y", "z")
