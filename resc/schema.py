@@ -55,17 +55,20 @@ class TrainSchema(RunSchema):
         renew_scenes: Scenes laid out anew after every batch.
         evaluation_episodes: Fixed episodes flown at the end, on scenes never trained on.
         evaluation_seed: Of those scenes; training seeds are never this one.
+        held_out: Groups that those episodes are flown with in place of training's; the metrics in
+            evaluation.csv are its `metric`.
         resume: Folder of an interrupted run to go on with.
         checkpoint_every_s: Seconds between checkpoints.
     """
 
     name: str = "train"
     num_envs: int = 2048
-    total_frames: int = 34_000_000
+    total_frames: int = 30_000_000
     pool_size: int = 2048
     renew_scenes: int = 64
     evaluation_episodes: int = 1000
     evaluation_seed: int = 1_000_003
+    held_out: dict[str, Any] = field(default_factory=dict)
     resume: str | None = None
     checkpoint_every_s: float = 60.0
     model: dict[str, Any] = field(default_factory=dict)
