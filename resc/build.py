@@ -7,6 +7,7 @@ no foreign code.
 import difflib
 import importlib
 import inspect
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -22,6 +23,7 @@ from resc.math.sampling import generator_for
 from resc.scenes.layout import Layout
 from resc.scenes.pool import ScenePool
 from resc.term import Observation, Reward, Term
+from resc.terms.randomizations.action_delay import ActionDelay
 
 ALLOWED = ("resc.", "torch.optim.")
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
@@ -157,6 +159,7 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
     )
     if not terms.rewards or not terms.observations or not terms.terminations:
         raise ConfigError("reward, observation and termination need at least one term each.")
+    _check_delays(terms)
     return Stages(terms, context)
 
 
@@ -213,6 +216,17 @@ def _arguments_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     return found
 
 
+def _check_delays(terms: Terms) -> None:
+    """A delay that the action's queue cannot hold would be cut without a word."""
+    held = getattr(terms.action, "dims", {}).get("d", 1) - 1
+    for term in terms.randomizations:
+        if isinstance(term, ActionDelay) and term.longest_steps > held:
+            raise ConfigError(
+                f"randomization.{term.name}.longest_steps is {term.longest_steps}, but the "
+                f"action's queue holds {held}; raise action.longest_delay_steps."
+            )
+
+
 def load_config(path: Path) -> DictConfig:
     """A stored configuration, read as data.
 
@@ -258,8 +272,8 @@ def _checked(path: str, value: Any, annotation: Any) -> Any:
         if isinstance(value, bool) or not isinstance(value, wanted):
             expected = "a number" if annotation is float else "a whole number"
             raise ConfigError(f"{path} is {value!r}; expected {expected}.")
-        if value != value:
-            raise ConfigError(f"{path} is not a number (NaN); give a finite one.")
+        if not math.isfinite(value):
+            raise ConfigError(f"{path} is {value}; expected a finite number.")
         return annotation(value)
     if annotation is bool and not isinstance(value, bool):
         raise ConfigError(f"{path} is {value!r}; expected true or false.")

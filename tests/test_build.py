@@ -66,7 +66,8 @@ def test_a_node_without_a_target_is_named():
         (None, "None; expected a number"),
         (True, "True; expected a number"),
         ([1.0], r"\[1\.0\]; expected a number"),
-        (float("nan"), "not a number"),
+        (float("nan"), "nan; expected a finite number"),
+        (float("-inf"), "-inf; expected a finite number"),
     ],
 )
 def test_a_weight_that_is_no_number_is_refused(value, fact):
@@ -99,7 +100,7 @@ def test_whole_number_arguments_take_no_fractions():
         (3.0, "rate_limit_radps is 3.0; expected a list"),
         ("fast", "rate_limit_radps is 'fast'; expected a list"),
         ([2.0, "fast", 1.0], r"rate_limit_radps\[1\] is 'fast'; expected a number"),
-        ([2.0, 2.0, float("nan")], r"rate_limit_radps\[2\] is not a number"),
+        ([2.0, 2.0, float("nan")], r"rate_limit_radps\[2\] is nan; expected a finite number"),
         ([2.0, 2.0], r"rate_limit_radps is \[2\.0, 2\.0\]; expected 3 numbers"),
     ],
 )

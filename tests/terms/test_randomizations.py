@@ -4,10 +4,10 @@ from torch.testing import assert_close
 
 from resc.errors import ConfigError
 from resc.terms.randomizations.action_delay import ActionDelay
-from resc.terms.randomizations.scale import Inertia, Mass, ThrustMap
+from resc.terms.randomizations.scale import Inertia, Mass, ThrustMap, TorqueCoefficient
 
 
-@pytest.mark.parametrize("kind", [Mass, Inertia, ThrustMap])
+@pytest.mark.parametrize("kind", [Mass, Inertia, ThrustMap, TorqueCoefficient])
 def test_a_parameter_is_scaled_by_one_plus_the_spread_at_most(kind):
     term = kind(spread=0.1)
     nominal = torch.full((3, term.draws), 2.0)
@@ -30,10 +30,53 @@ def test_delays_are_whole_steps_and_equally_likely():
     assert sum(shares) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("steps", [0, 2])
+def test_equal_ends_fix_the_delay(steps):
+    unit = torch.tensor([[0.0], [0.5], [0.999999]])
+    delay = ActionDelay(shortest_steps=steps, longest_steps=steps).compute(torch.zeros(3, 1), unit)
+    assert delay[:, 0].tolist() == [steps] * 3
+
+
+def test_a_delay_is_never_shorter_than_the_shortest():
+    unit = torch.tensor([[0.0], [0.4], [0.6], [0.999999]])
+    delay = ActionDelay(shortest_steps=1, longest_steps=2).compute(torch.zeros(4, 1), unit)
+    assert delay[:, 0].tolist() == [1, 1, 2, 2]
+
+
+@pytest.mark.parametrize("spread", [1.0, -0.1])
+def test_impossible_spreads_are_refused(spread):
+    with pytest.raises(ConfigError, match=rf"spread is {spread}; expected a share in \[0, 1\)"):
+        Mass(spread=spread)
+
+
+@pytest.mark.parametrize(("shortest", "longest"), [(2, 1), (-1, 1), (0, -1)])
+def test_impossible_delays_are_refused(shortest, longest):
+    with pytest.raises(
+        ConfigError, match=f"shortest_steps is {shortest} and longest_steps {longest}; expected"
+    ):
+        ActionDelay(shortest_steps=shortest, longest_steps=longest)
+
+
 @pytest.mark.parametrize(
-    "make",
-    [lambda: Mass(spread=1.0), lambda: Mass(spread=-0.1), lambda: ActionDelay(longest_steps=-1)],
+    ("part", "key"), [("mass", "mass"), ("inertia", "inertia_b"), ("thrust_map", "thrust_scale")]
 )
-def test_impossible_spreads_are_refused(make):
-    with pytest.raises(ConfigError):
-        make()
+def test_every_episode_of_every_environment_has_a_parameter_of_its_own(make_env, part, key):
+    env = make_env("num_envs=16", f"randomization=[{part}]", f"randomization.{part}.spread=0.3")
+    env.restart(torch.arange(16))
+    first = env.value_of(("params", key)).clone()
+    nominal = env.stages.context.vehicle.parameters()[("params", key)]
+    ratio = first / nominal
+    assert ratio.min() > 0.7
+    assert ratio.max() < 1.3
+    assert ratio.min() < 0.85
+    assert ratio.max() > 1.15
+    env.restart(torch.arange(16))
+    assert not torch.isclose(env.value_of(("params", key)), first).any()
+
+
+def test_a_delay_that_the_queue_cannot_hold_is_refused(make_stages):
+    with pytest.raises(
+        ConfigError,
+        match=r"randomization\.action_delay\.longest_steps is 4, but the action's queue holds 3",
+    ):
+        make_stages("randomization=[action_delay]", "randomization.action_delay.longest_steps=4")

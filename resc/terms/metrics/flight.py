@@ -8,6 +8,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.math.geometry import distance, norm
+from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import Context, Metric
 
 
@@ -50,6 +51,36 @@ class TopAcceleration(Metric):
         return torch.maximum(so_far, norm(acceleration))
 
 
+class MeanSpeed(Metric):
+    """Mean |v| over the steps [m/s]."""
+
+    reads = (keys.VELOCITY_W, keys.CLOCK)
+    unit = "m/s"
+
+    def compute(
+        self,
+        so_far: Float[Tensor, "n 1"],
+        velocity: Float[Tensor, "n 3"],
+        clock: Float[Tensor, "n 1"],
+    ) -> Float[Tensor, "n 1"]:
+        return so_far + (norm(velocity) - so_far) / clock
+
+
+class MeanAcceleration(Metric):
+    """Mean over the steps of the magnitude of a step's mean kinematic acceleration [m/s^2]."""
+
+    reads = (keys.ACCELERATION_W, keys.CLOCK)
+    unit = "m/s^2"
+
+    def compute(
+        self,
+        so_far: Float[Tensor, "n 1"],
+        acceleration: Float[Tensor, "n 3"],
+        clock: Float[Tensor, "n 1"],
+    ) -> Float[Tensor, "n 1"]:
+        return so_far + (norm(acceleration) - so_far) / clock
+
+
 class LeastClearance(Metric):
     """Least distance to an obstacle surface [m], exact."""
 
@@ -88,6 +119,28 @@ class Energy(Metric):
     ) -> Float[Tensor, "n 1"]:
         squared_jerk = ((acceleration - previous) / self.dt_s).square().sum(-1, keepdim=True)
         return so_far + torch.where(clock > 1, squared_jerk * self.dt_s, 0.0)
+
+
+class RotorEnergy(Metric):
+    """Ideal work of the rotors, as the time of hovering that takes as much [s].
+
+    Sum of dt mean_i (f_i / f_hover)^(3/2), f_hover a quarter of the nominal weight: momentum theory
+    without profile drag and speed of flight, as in the reward `energy`.
+    """
+
+    reads = (keys.ROTOR_THRUST,)
+    unit = "s"
+
+    def bind(self, context: Context) -> None:
+        """Takes the control period and the nominal weight."""
+        self.dt_s = context.dt_s
+        self.hover_n = context.vehicle.mass_kg * GRAVITY_MPS2 / 4
+
+    def compute(
+        self, so_far: Float[Tensor, "n 1"], thrust: Float[Tensor, "n 4"]
+    ) -> Float[Tensor, "n 1"]:
+        power = (thrust.clamp(min=0) / self.hover_n).pow(1.5).mean(-1, keepdim=True)
+        return so_far + power * self.dt_s
 
 
 class StepsOverLimit(Metric):

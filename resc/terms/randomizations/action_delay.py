@@ -9,21 +9,26 @@ from resc.term import Randomization
 
 
 class ActionDelay(Randomization):
-    """A delay of 0 to `longest_steps` control steps, equally likely (2025 paper, V-C).
+    """A delay of `shortest_steps` to `longest_steps` steps, equally likely (2025 paper, V-C).
 
-    Constant over an episode.
+    Constant over an episode; equal ends fix it. The range is ours: the paper gives none.
     """
 
     reads = writes = (keys.ACTION_DELAY,)
     draws = 1
 
-    def __init__(self, *, longest_steps: int) -> None:
+    def __init__(self, *, longest_steps: int, shortest_steps: int = 0) -> None:
         super().__init__()
-        if longest_steps < 0:
-            raise ConfigError(f"longest_steps is {longest_steps}; expected zero or more.")
+        if not 0 <= shortest_steps <= longest_steps:
+            raise ConfigError(
+                f"shortest_steps is {shortest_steps} and longest_steps {longest_steps}; expected "
+                "0 <= shortest_steps <= longest_steps."
+            )
+        self.shortest_steps = shortest_steps
         self.longest_steps = longest_steps
 
     def compute(
         self, delay: Float[Tensor, "n 1"], unit: Float[Tensor, "n 1"]
     ) -> Float[Tensor, "n 1"]:
-        return (unit * (self.longest_steps + 1)).floor() + 0 * delay
+        count = self.longest_steps - self.shortest_steps + 1
+        return (unit * count).floor() + self.shortest_steps + 0 * delay

@@ -45,3 +45,13 @@ class ThrustMap(_Scale):
 
     reads = writes = (keys.THRUST_SCALE,)
     draws = 1
+
+
+class TorqueCoefficient(_Scale):
+    """Yaw torque per rotor thrust times 1 + U(-spread, spread); not randomised by either paper.
+
+    The published files disagree by 1 % themselves (facts 2.2). The rate loop keeps the nominal one.
+    """
+
+    reads = writes = (keys.TORQUE_COEFFICIENT,)
+    draws = 1
