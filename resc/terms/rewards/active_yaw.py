@@ -6,7 +6,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.math.geometry import norm
-from resc.math.rotation import body_x_w
+from resc.math.rotation import heading
 from resc.term import Reward
 
 
@@ -62,6 +62,6 @@ def misalignment(
 
     |u| is one, and falls to zero with the direction below the length `short`.
     """
-    heading, flat = body_x_w(attitude)[:, :2], direction[:, :2]
+    flat = direction[:, :2]
     u = flat / norm(flat).clamp(min=short)
-    return (heading / norm(heading) * u).sum(-1, keepdim=True) - norm(u)
+    return (heading(attitude) * u).sum(-1, keepdim=True) - norm(u)
