@@ -22,7 +22,7 @@ from resc.errors import ConfigError
 from resc.math.sampling import generator_for
 from resc.scenes.layout import Layout
 from resc.scenes.pool import ScenePool
-from resc.term import Observation, Reward, Term
+from resc.term import Curriculum, Observation, Reward, Term
 from resc.terms.randomizations.action_delay import ActionDelay
 
 ALLOWED = ("resc.", "torch.optim.")
@@ -115,13 +115,35 @@ def build_terms(
     for name, node in (group or {}).items():
         if node is None:
             continue
-        term = build(node, f"{path}.{name}", allowed=allowed)
+        term = _build_term(node, f"{path}.{name}", allowed)
         if not isinstance(term, kind):
             raise ConfigError(
                 f"{path}.{name} builds a {type(term).__name__}, which is no {kind.__name__}."
             )
         terms.append(term.named(name))
     return terms
+
+
+def _build_term(node: Any, path: str, allowed: Iterable[str]) -> Any:
+    """One term, and the difficulty that eases it, which is no argument of its class."""
+    if not isinstance(node, Mapping) or "difficulty" not in node:
+        return build(node, path, allowed=allowed)
+    eased = node["difficulty"]
+    rest = {key: value for key, value in node.items() if key != "difficulty"}
+    term = build(rest, path, allowed=allowed)
+    if eased is None:
+        return term
+    if not getattr(term, "eases", False):
+        raise ConfigError(
+            f"{path}.difficulty is {eased!r}, but {type(term).__name__} has nothing that a "
+            "difficulty eases; drop it."
+        )
+    if not isinstance(eased, str):
+        raise ConfigError(
+            f"{path}.difficulty is {eased!r}; expected the name of a difficulty, such as obstacles."
+        )
+    term.difficulty = eased
+    return term
 
 
 def build_stages(config: Mapping[str, Any]) -> Stages:
@@ -147,7 +169,7 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
         task=build(task["control_points"], "task.control_points", allowed=allowed).named(
             "control_points"
         ),
-        initial_state=build(task["initial_state"], "task.initial_state", allowed=allowed).named(
+        initial_state=_build_term(task["initial_state"], "task.initial_state", allowed).named(
             "initial_state"
         ),
         sensors=group("sensor", kinds.Sensor),
@@ -160,7 +182,7 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
     if not terms.rewards or not terms.observations or not terms.terminations:
         raise ConfigError("reward, observation and termination need at least one term each.")
     _check_delays(terms)
-    return Stages(terms, context)
+    return Stages(terms, context, (config.get("scene") or {}).get("difficulty"))
 
 
 def build_pool(
@@ -170,9 +192,11 @@ def build_pool(
     seed: int,
     device: torch.device | str = "cpu",
     plan: Callable[[Layout], Layout] | None = None,
+    curricula: Iterable[Curriculum] = (),
 ) -> ScenePool:
-    """The scene pool of a run's configuration."""
+    """The scene pool of a run's configuration, at full difficulty unless a curriculum eases it."""
     scene = build(config["scene"], "scene", allowed=config.get("allowed_targets", ()))
+    levels = {term.name: term.levels for term in curricula}
     return ScenePool(
         scene,
         size=size,
@@ -180,6 +204,7 @@ def build_pool(
         generator=generator_for(seed, "scene_layout"),
         device=device,
         plan=plan,
+        levels=levels.get(config["scene"].get("difficulty"), (1.0,)),
     )
 
 
@@ -275,6 +300,8 @@ def _checked(path: str, value: Any, annotation: Any) -> Any:
         if not math.isfinite(value):
             raise ConfigError(f"{path} is {value}; expected a finite number.")
         return annotation(value)
+    if annotation == (str | None) and not isinstance(value, str | None):
+        raise ConfigError(f"{path} is {value!r}; expected a name.")
     if annotation is bool and not isinstance(value, bool):
         raise ConfigError(f"{path} is {value!r}; expected true or false.")
     if get_origin(annotation) is Sequence:

@@ -128,10 +128,31 @@ TRUNCATED = _declare(("truncated",), (1,), "-", "the episode was cut by the cloc
 DONE = _declare(("done",), (1,), "-", "terminated or truncated", torch.bool)
 REWARD = _declare(("reward",), (1,), "-", "weighted sum of the reward terms")
 
-GROUPS = ("termination", "reward", "metric", "observation")
+SCENE_DIFFICULTY = _declare(
+    ("scene", "difficulty"), (1,), "-", "difficulty in [0, 1] that the scene was laid out at"
+)
+TRAINED_FRAMES = _declare(
+    ("training", "frames"), (1,), "steps", "environment steps trained on so far"
+)
+CURRICULUM_DIFFICULTY = _declare(
+    ("curriculum", "difficulty"), (1,), "-", "difficulty in [0, 1] that a curriculum has reached"
+)
+EPISODE_DIFFICULTY = _declare(
+    ("episode", "difficulty"), (1,), "-", "difficulty that each finished episode was flown at"
+)
+EPISODE_SUCCESS = _declare(
+    ("episode", "success"), (1,), "-", "whether each finished episode succeeded", torch.bool
+)
+
+GROUPS = ("termination", "reward", "metric", "observation", "difficulty")
 """First part of the keys that terms name themselves: `(group, name)`."""
 
 
 def previous(key: NestedKey) -> NestedKey:
     """The key under which the value that `key` had before the current step is kept."""
     return ("memory", *key)
+
+
+def difficulty(name: str) -> NestedKey:
+    """The key of a named difficulty, [n, 1] in [0, 1], as the episode began with it."""
+    return ("difficulty", name)

@@ -71,6 +71,7 @@ class TrainSchema(RunSchema):
     held_out: dict[str, Any] = field(default_factory=dict)
     resume: str | None = None
     checkpoint_every_s: float = 60.0
+    curriculum: dict[str, Any] = field(default_factory=dict)
     model: dict[str, Any] = field(default_factory=dict)
     algorithm: dict[str, Any] = field(default_factory=dict)
     logger: dict[str, Any] = field(default_factory=dict)

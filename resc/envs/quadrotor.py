@@ -94,6 +94,11 @@ class QuadrotorEnv(EnvBase):
         """One entry of the world, a view."""
         return self._world[key]
 
+    @property
+    def flown_difficulties(self) -> dict[str, Tensor]:
+        """Difficulties of the present episodes [n, 1], by name: views."""
+        return {name: self._world[keys.difficulty(name)] for name in self.difficulties}
+
     @torch.no_grad()
     def advance(self, action: Tensor) -> StepOutput:
         """One control step of all environments; rows that are done wait for `restart`.

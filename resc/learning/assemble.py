@@ -4,12 +4,13 @@ from pathlib import Path
 
 from omegaconf import DictConfig, open_dict
 
-from resc.build import build, build_env, build_pool, load_config
+from resc.build import build, build_env, build_pool, build_terms, load_config
 from resc.errors import ConfigError
 from resc.evaluation.flights import Flights, fly
 from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint, load_policy
 from resc.learning.ppo import Ppo
 from resc.planning.route import planner_for
+from resc.term import Curriculum
 
 CLOSED_BATCHES = 4
 """Batches without new episodes before a scene is renewed; longer than nearly every episode."""
@@ -31,8 +32,16 @@ def build_trainer(config: DictConfig) -> Ppo:
         raise ConfigError(
             f"seed is {config['seed']}, the seed of the evaluation scenes; choose another."
         )
+    curricula = build_terms(
+        config["curriculum"], "curriculum", Curriculum, config["allowed_targets"]
+    )
     pool = build_pool(
-        config, size=size, seed=config["seed"], device=config["device"], plan=planner_for(config)
+        config,
+        size=size,
+        seed=config["seed"],
+        device=config["device"],
+        plan=planner_for(config),
+        curricula=curricula,
     )
     env = build_env(config, pool, seed=config["seed"], closed=CLOSED_BATCHES * renewed)
     networks = build(
@@ -51,6 +60,7 @@ def build_trainer(config: DictConfig) -> Ppo:
         seed=config["seed"],
         compile=config["compile"],
         renew_scenes=renewed,
+        curricula=curricula,
     )
 
 

@@ -126,6 +126,7 @@ def save_checkpoint(path: Path, trainer: Ppo) -> None:
         "observation": env.observation,
         "generators": env.generator_states(),
         "pool": env.pool.state(),
+        "curricula": trainer.curricula.state(),
         "layout": [list(block) for block in layout_of(env.stages)],
     }
     write_atomically(path, content)
@@ -138,7 +139,7 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
         CheckpointError: The file is cut short, foreign, or of another observation or number of
             environments.
     """
-    content = read(path, ("actor", "critic", "optimizer", "world", "pool", "layout"))
+    content = read(path, ("actor", "critic", "optimizer", "world", "pool", "layout", "curricula"))
     env = trainer.env
     layout = [list(block) for block in layout_of(env.stages)]
     if content["layout"] != layout:
@@ -158,6 +159,7 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
     trainer.order.set_state(content["order"].cpu())
     trainer.statistics.load_state(content["statistics"])
     env.pool.load_state(content["pool"])
+    trainer.curricula.load_state(content["curricula"])
     world = {tuple(name.split("/")): value for name, value in content["world"].items()}
     env.world = TensorDict(world, batch_size=[env.num_envs], device=env.device)
     env.observation = content["observation"].to(env.device)

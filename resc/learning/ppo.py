@@ -5,7 +5,7 @@ batched step whatever the environment does, so the rollout calls `advance` and `
 acting and updating are compiled.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -18,9 +18,11 @@ from torchrl.objectives.value.functional import generalized_advantage_estimate
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError, NumericalError
+from resc.learning.curriculum import Curricula
 from resc.learning.networks import Networks
 from resc.learning.statistics import EpisodeStatistics
 from resc.math.sampling import generator_for
+from resc.term import Curriculum
 
 RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
 """State before each step that a rollout keeps, beside what the update needs."""
@@ -88,6 +90,7 @@ class Ppo:
         seed: Of exploration noise and minibatch order.
         compile: Compile acting and the loss.
         renew_scenes: Scenes of the pool laid out anew after each batch.
+        curricula: What sets the difficulties that the environment reads.
     """
 
     def __init__(
@@ -100,8 +103,10 @@ class Ppo:
         seed: int = 0,
         compile: bool = True,
         renew_scenes: int = 0,
+        curricula: Sequence[Curriculum] = (),
     ) -> None:
         self.env = env
+        self.curricula = Curricula(curricula, env)
         self.networks = networks.to(env.device)
         self.settings = settings
         self.total_frames = total_frames
@@ -136,7 +141,7 @@ class Ppo:
             self._losses = torch.compile(self._losses_eagerly, dynamic=False)
         self.batch = self._allocate()
         self.statistics = EpisodeStatistics(
-            env.num_envs, (*env.stages.outcomes, RENEWED), env.device
+            env.num_envs, (*env.stages.outcomes, RENEWED), env.device, env.stages.difficulties
         )
         env.restart(torch.arange(env.num_envs))
 
@@ -152,6 +157,7 @@ class Ppo:
         figures = self.update()
         self.frames += self.batch_frames
         self.iteration += 1
+        self.curricula.advance(self.frames, self.statistics.complete())
         return figures
 
     @torch.no_grad()
@@ -173,7 +179,7 @@ class Ppo:
             out = env.advance(action)
             for name in ("reward", "terminated", "truncated", "done", "reward_terms"):
                 row[name].copy_(getattr(out, name))
-            self.statistics.step(t, out, env.value_of(keys.SCENE_INDEX))
+            self.statistics.step(t, out, env.value_of(keys.SCENE_INDEX), env.flown_difficulties)
             rows = out.done[:, 0].nonzero()[:, 0]
             if len(rows):
                 self._terminal.append((t, rows, out.observation[rows]))

@@ -1,6 +1,8 @@
 """How episodes end: counted batch by batch, and listed for the recorder."""
 
 from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import cast
 
 import torch
 from tensordict import TensorDict
@@ -10,23 +12,35 @@ from resc.envs.stages import StepOutput
 
 WINDOW = 2000
 """Finished episodes that the running rates look back on."""
+BINS = 5
+"""Bins of difficulty, of equal width from 0 to 1."""
+Row = tuple[int, float, int, tuple[float, ...]]
+"""Outcome, return, length and difficulties of an episode."""
 
 
 class EpisodeStatistics:
-    """Return, length and outcome of every finished episode.
+    """Return, length, outcome and difficulties of every finished episode.
 
     Args:
         num_envs: Batch size.
         outcomes: Their names, by number; the first is success.
         device: Of the environment.
+        difficulties: Names of the difficulties that episodes are flown at.
     """
 
-    def __init__(self, num_envs: int, outcomes: tuple[str, ...], device: torch.device) -> None:
+    def __init__(
+        self,
+        num_envs: int,
+        outcomes: tuple[str, ...],
+        device: torch.device,
+        difficulties: Sequence[str] = (),
+    ) -> None:
         self.outcomes = outcomes
+        self.names = tuple(difficulties)
         self.returns = torch.zeros(num_envs, device=device)
         self.lengths = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self.numbers = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        self.recent: deque[tuple[int, float, int]] = deque(maxlen=WINDOW)
+        self.recent: deque[Row] = deque(maxlen=WINDOW)
         self.total = 0
         self.finished: list[TensorDict] = []
         self.start_step = 0
@@ -36,11 +50,14 @@ class EpisodeStatistics:
         self.finished = []
         self.start_step = start_step
 
-    def step(self, t: int, out: StepOutput, scene: Tensor) -> None:
-        """Counts one control step."""
+    def step(
+        self, t: int, out: StepOutput, scene: Tensor, difficulties: Mapping[str, Tensor]
+    ) -> None:
+        """Counts one control step, of episodes in these scenes at these difficulties [n, 1]."""
         self.returns += out.reward[:, 0]
         self.lengths += 1
         self.scene = scene
+        self.difficulties = difficulties
         rows = out.done[:, 0].nonzero()[:, 0]
         if len(rows):
             self._finish(t, rows, out.outcome[rows, 0])
@@ -57,6 +74,16 @@ class EpisodeStatistics:
         # torch.cat is annotated for tensors alone; tensordict makes it take its own.
         return torch.cat(self.finished)  # pyright: ignore[reportArgumentType, reportReturnType]
 
+    def complete(self) -> TensorDict | None:
+        """As `episodes`, without those that were cut from outside, with their `success`."""
+        episodes = self.episodes()
+        if episodes is None:
+            return None
+        codes = cast(Tensor, episodes["outcome"])
+        complete = cast(TensorDict, episodes[codes < len(self.outcomes) - 1])
+        complete["success"] = complete["outcome"] == 0
+        return complete
+
     def rates(self) -> dict[str, float]:
         """Share of each outcome, mean return and length over the last finished episodes.
 
@@ -66,7 +93,7 @@ class EpisodeStatistics:
         if not rows:
             return {}
         codes, returns, lengths = (
-            torch.tensor(column, dtype=torch.float64) for column in zip(*rows, strict=True)
+            torch.tensor([row[i] for row in rows], dtype=torch.float64) for i in range(3)
         )
         shares = {
             f"outcome/{name}": float((codes == i).double().mean())
@@ -78,7 +105,23 @@ class EpisodeStatistics:
             "episode/length": float(lengths.mean()),
         }
 
-    def state(self) -> dict[str, Tensor | int | list[tuple[int, float, int]]]:
+    def success_by_difficulty(self, names: Sequence[str]) -> dict[str, float]:
+        """Share of successes among the last finished episodes, by bins of the named difficulties.
+
+        A bin without an episode is left out, and episodes cut from outside are excluded.
+        """
+        rows = [row for row in self.recent if row[0] < len(self.outcomes) - 1]
+        shares = {}
+        for name in names:
+            column = self.names.index(name)
+            bins = [min(int(row[3][column] * BINS + 1e-4), BINS - 1) for row in rows]
+            for number in sorted(set(bins)):
+                codes = [row[0] for row, i in zip(rows, bins, strict=True) if i == number]
+                label = f"{number / BINS:.1f}-{(number + 1) / BINS:.1f}"
+                shares[f"success_by_{name}/{label}"] = codes.count(0) / len(codes)
+        return shares
+
+    def state(self) -> dict[str, Tensor | int | list[Row]]:
         """For a checkpoint."""
         return {
             "returns": self.returns,
@@ -95,13 +138,16 @@ class EpisodeStatistics:
             state["lengths"],
             state["numbers"],
         )
-        self.recent = deque((tuple(row) for row in state["recent"]), maxlen=WINDOW)
+        self.recent = deque(state["recent"], maxlen=WINDOW)
         self.total = state["total"]
 
     def _finish(self, t: int, rows: Tensor, codes: Tensor) -> None:
         end = self.start_step + t
         lengths, returns = self.lengths[rows], self.returns[rows]
-        self.recent.extend(zip(codes.tolist(), returns.tolist(), lengths.tolist(), strict=True))
+        flown_at = {name: self.difficulties[name][rows, 0].cpu() for name in self.names}
+        levels = torch.stack([*flown_at.values()], -1) if flown_at else torch.zeros(len(rows), 0)
+        columns = (codes.tolist(), returns.tolist(), lengths.tolist(), map(tuple, levels.tolist()))
+        self.recent.extend(zip(*columns, strict=True))
         self.total += len(rows)
         self.finished.append(
             TensorDict(
@@ -114,6 +160,7 @@ class EpisodeStatistics:
                     "return_": returns,
                     "outcome": codes,
                     "scene": self.scene[rows, 0],
+                    "difficulties": TensorDict(flown_at, batch_size=[len(rows)]),
                 },
                 batch_size=[len(rows)],
             ).cpu()

@@ -82,7 +82,9 @@ def train(
             except RecordingError as error:
                 _save_in_need(trainer, folder, error)
                 raise
-            figures |= trainer.statistics.rates() | _reward_terms(trainer)
+            curricula = trainer.curricula
+            figures |= trainer.statistics.rates() | _reward_terms(trainer) | curricula.figures()
+            figures |= trainer.statistics.success_by_difficulty(curricula.active)
             figures["speed/steps_per_s"] = trainer.batch_frames / (time.monotonic() - began)
             figures["episode/total"] = float(trainer.statistics.total)
             logger.log(figures, trainer.frames)
@@ -132,4 +134,9 @@ def _summary(figures: dict[str, float]) -> str:
         for name, share in (("success", success), ("collision", collision))
         if share is not None
     ]
-    return ", ".join(parts)
+    difficulties = [
+        f"{name.removeprefix('difficulty/')} {value:.2f}"
+        for name, value in figures.items()
+        if name.startswith("difficulty/")
+    ]
+    return ", ".join(parts + difficulties)

@@ -19,6 +19,7 @@ class NamedScene:
         origin_m: Lower-left corner of the map.
         size_m: Extent of the map in x and y.
         jitter_m: Greatest offset of the start along each axis.
+        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
@@ -30,6 +31,7 @@ class NamedScene:
         origin_m: Sequence[float],
         size_m: Sequence[float],
         jitter_m: float = 0.0,
+        difficulty: str | None = None,
     ) -> None:
         for number, box in enumerate(boxes):
             if len(box) != 4 or min(box[2:]) <= 0:
@@ -61,6 +63,7 @@ class NamedScene:
         self.origin_m = torch.tensor(list(origin_m), dtype=torch.float32)
         self.size_m = torch.tensor(list(size_m), dtype=torch.float32)
         self.jitter_m = jitter_m
+        self.difficulty = difficulty
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """The same map `count` times, starts jittered."""

@@ -1,6 +1,6 @@
 """The pool of scenes that environments are reset into."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -11,20 +11,27 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
+from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
+from resc.scenes.difficulty import eased
 from resc.scenes.layout import Layout, Scene, pad, rasterize
 
-TRUNCATION_M = 3.0
-"""The published distance field ends here (facts 4.2)."""
 CHUNK = 32
 """Maps transformed at once: small enough for the cache."""
+SLACK = 1e-4
+"""Difficulties closer than this are one: float32 keeps 0.1 + 0.2 apart from 0.3."""
 
 
 class ScenePool:
     """Many scenes with their distance fields, laid out once and renewed piece by piece.
 
     Renewal goes round the pool. The entries next in turn are closed to new episodes well before, so
-    that hardly an episode is still in them; `retired` tells which are.
+    that hardly an episode is still in them.
+
+    Scenes of every difficulty of `levels` are there from the first to the last episode, in equal
+    shares and by turns, and a scene is renewed at its own. So a difficulty holds for the very next
+    episode: with difficulties laid out when they are due, a pool of 2048 scenes renewed 64 at a
+    time would lag behind by 32 batches, and never follow without renewal.
 
     Args:
         scene: What lays the scenes out.
@@ -33,6 +40,7 @@ class ScenePool:
         generator: Draws the scenes.
         device: Where the maps live.
         plan: Fills in routes for scenes that only know their goal.
+        levels: Difficulties in [0, 1] that scenes are laid out at, in ascending order.
     """
 
     def __init__(
@@ -44,13 +52,19 @@ class ScenePool:
         generator: torch.Generator,
         device: torch.device | str = "cpu",
         plan: Callable[[Layout], Layout] | None = None,
+        levels: Sequence[float] = (1.0,),
     ) -> None:
+        if size < len(levels):
+            raise ConfigError(
+                f"pool_size is {size}, fewer than the {len(levels)} levels of difficulty; raise it."
+            )
         self.scene = scene
+        self.levels = torch.tensor(levels, dtype=torch.float32)
         self.resolution_m = resolution_m
         self.generator = generator
         self.plan = plan
         self.head = 0
-        self.layout = self._lay_out(size)
+        self.layout = self._lay_out(torch.arange(size))
         cells = (self.layout.size.amax(0) / resolution_m).round().int().tolist()
         self.shape = (cells[1], cells[0])
         esdf = self._transform(self.layout)
@@ -65,27 +79,43 @@ class ScenePool:
             keys.START_W: self.layout.start_w.clone().to(device),
             keys.ROUTE_W: self.layout.route_w.clone().to(device),
             keys.ROUTE_LENGTH: self.layout.route_length.clone().to(device),
+            keys.SCENE_DIFFICULTY: self._difficulty(torch.arange(size)).to(device),
         }
 
     def __len__(self) -> int:
         return len(self.layout)
 
-    def entry(self, unit: Float[Tensor, " k"], closed: int = 0) -> Int[Tensor, " k"]:
-        """Maps uniform numbers to open entries: all but the `closed` next in turn for renewal."""
-        open_entries = len(self) - closed
-        if open_entries < 1:
+    def entry(
+        self, unit: Float[Tensor, " k"], closed: int = 0, difficulty: float = 1.0
+    ) -> Int[Tensor, " k"]:
+        """Maps uniform numbers to open entries: all but the `closed` next in turn for renewal.
+
+        Between two levels of difficulty, the share of the upper one is such that the mean is
+        `difficulty`.
+        """
+        count = len(self.levels)
+        if len(self) - closed < 2 * count - 1:  # fewer may leave a level without an open scene
             raise ConfigError(
-                f"closed is {closed} of {len(self)} scenes; expected fewer, for episodes to begin."
+                f"{closed} of {len(self)} scenes are closed for renewal; for episodes to begin, "
+                f"leave {2 * count - 1} open: raise pool_size or lower renew_scenes."
             )
-        offset = (unit * open_entries).long().clamp(max=open_entries - 1)
-        return (self.head + closed + offset) % len(self)
+        open_entries = (self.head + torch.arange(closed, len(self))) % len(self)
+        if count == 1:
+            return _pick(open_entries, unit)
+        lower, share = self._level(difficulty)
+        below = _pick(open_entries[open_entries % count == lower], (unit - share) / (1 - share))
+        if not share:
+            return below
+        above = _pick(open_entries[open_entries % count == lower + 1], unit / share)
+        return torch.where(unit < share, above, below)
 
     def renew(self, count: int) -> Int[Tensor, " k"]:
         """Lays the next `count` scenes out anew; returns their entries.
 
         A planned route longer than every first one finds no room; its scene is kept as it was.
         """
-        layout, entries = self._lay_out(count), (self.head + torch.arange(count)) % len(self)
+        entries = (self.head + torch.arange(count)) % len(self)
+        layout = self._lay_out(entries)
         self.head = (self.head + count) % len(self)
         room = self.tasks[keys.ROUTE_W].shape[1]
         fits = layout.route_length[:, 0] <= room
@@ -127,8 +157,24 @@ class ScenePool:
             where = self.shared if key in self.shared else self.tasks
             where[key][rows] = value.to(rows.device)
 
-    def _lay_out(self, count: int) -> Layout:
-        layout = self.scene.sample(count, self.generator)
+    def _difficulty(self, entries: Int[Tensor, " k"]) -> Float[Tensor, "k 1"]:
+        """The difficulty that each entry is laid out at: the levels by turns."""
+        return self.levels[entries % len(self.levels)].unsqueeze(-1)
+
+    def _level(self, difficulty: float) -> tuple[int, float]:
+        """The level at or below a difficulty, and the share of the one above it."""
+        levels = self.levels.tolist()
+        difficulty = min(max(difficulty, levels[0]), levels[-1])
+        lower = max(i for i, level in enumerate(levels) if level <= difficulty + SLACK)
+        if lower + 1 == len(levels):
+            return lower, 0.0
+        share = (difficulty - levels[lower]) / (levels[lower + 1] - levels[lower])
+        return lower, share if share > SLACK else 0.0
+
+    def _lay_out(self, entries: Int[Tensor, " k"]) -> Layout:
+        layout = self.scene.sample(len(entries), self.generator)
+        if self.levels.tolist() != [1.0]:
+            layout = eased(layout, self._difficulty(entries))
         if (layout.route_length > 0).all():
             return layout
         if self.plan is None:
@@ -146,3 +192,8 @@ class ScenePool:
             occupied = rasterize(boxes, origin, self.shape, self.resolution_m)
             parts.append(distance_transform(occupied, self.resolution_m, TRUNCATION_M))
         return torch.cat(parts)
+
+
+def _pick(entries: Int[Tensor, " o"], unit: Float[Tensor, " k"]) -> Int[Tensor, " k"]:
+    """Maps uniform numbers in [0, 1) to entries."""
+    return entries[(unit * len(entries)).long().clamp(0, len(entries) - 1)]

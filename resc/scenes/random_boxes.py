@@ -24,6 +24,7 @@ class RandomBoxes:
         goal_m: x, y, z of the goal.
         keep_clear_m: Free radius around start and goal.
         jitter_m: Greatest offset of the start along each axis.
+        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
@@ -36,6 +37,7 @@ class RandomBoxes:
         goal_m: Sequence[float] = (12.0, 4.0, 1.0),
         keep_clear_m: float = 0.6,
         jitter_m: float = 0.0,
+        difficulty: str | None = None,
     ) -> None:
         if boxes < 1:
             raise ConfigError(f"boxes is {boxes}; expected at least 1.")
@@ -55,6 +57,7 @@ class RandomBoxes:
         self.goal_m = torch.tensor(list(goal_m), dtype=torch.float32)
         self.keep_clear_m = keep_clear_m
         self.jitter_m = jitter_m
+        self.difficulty = difficulty
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """Lays out `count` fields."""

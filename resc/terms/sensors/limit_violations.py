@@ -13,11 +13,13 @@ from resc.term import Sensor
 class LimitViolations(Sensor):
     """1 for each of speed, acceleration, |roll|, |pitch| above its limit (both papers: eq. 8).
 
-    Speed and mean kinematic acceleration by their norms.
+    Speed and mean kinematic acceleration by their norms. With a difficulty d, limits are (2 - d)
+    times as wide.
     """
 
     reads = (keys.VELOCITY_W, keys.ACCELERATION_W, keys.EULER)
     writes = (keys.LIMIT_VIOLATIONS,)
+    eases = True
 
     def __init__(
         self, *, speed_mps: float = 3.0, acceleration_mps2: float = 6.0, tilt_rad: float = 0.6545
@@ -34,8 +36,10 @@ class LimitViolations(Sensor):
         velocity: Float[Tensor, "n 3"],
         acceleration: Float[Tensor, "n 3"],
         euler: Float[Tensor, "n 3"],
+        difficulty: Float[Tensor, "n 1"] | None = None,
     ) -> Float[Tensor, "n 4"]:
-        fast = norm(velocity) > self.speed_mps
-        hard = norm(acceleration) > self.acceleration_mps2
-        tilted = euler[:, :2].abs() > self.tilt_rad
+        wider = 1.0 if difficulty is None else 2 - difficulty
+        fast = norm(velocity) > self.speed_mps * wider
+        hard = norm(acceleration) > self.acceleration_mps2 * wider
+        tilted = euler[:, :2].abs() > self.tilt_rad * wider
         return torch.cat((fast, hard, tilted), -1).to(velocity.dtype)

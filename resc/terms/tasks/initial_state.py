@@ -17,12 +17,14 @@ class InitialState(Term):
 
     Speed is uniform up to `speed_mps`, its direction within `heading_rad` of the first control
     point and level; roll and pitch within `tilt_rad`, yaw within `yaw_rad` of the first control
-    point, body rates within `body_rate_radps`. Zeros start at rest.
+    point, body rates within `body_rate_radps`. Zeros start at rest. A difficulty scales all
+    ranges: at 0 the vehicle stands level and faces the first control point.
     """
 
     reads = (keys.START_W, keys.ROUTE_W)
     writes = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
     draws = 8
+    eases = True
 
     def __init__(
         self,
@@ -43,11 +45,17 @@ class InitialState(Term):
         self.body_rate_radps = body_rate_radps
 
     def compute(
-        self, start: Float[Tensor, "n 3"], route: Float[Tensor, "n k 3"], unit: Float[Tensor, "n 8"]
+        self,
+        start: Float[Tensor, "n 3"],
+        route: Float[Tensor, "n k 3"],
+        unit: Float[Tensor, "n 8"],
+        difficulty: Float[Tensor, "n 1"] | None = None,
     ) -> tuple[Tensor, ...]:
         ahead = route[:, 0] - start
         bearing = torch.atan2(ahead[:, 1], ahead[:, 0])
         signed = uniform_between(unit, -1.0, 1.0)
+        if difficulty is not None:
+            signed, unit = signed * difficulty, unit * difficulty
         course = bearing + signed[:, 0] * self.heading_rad
         speed = unit[:, 1] * self.speed_mps
         velocity = torch.stack(

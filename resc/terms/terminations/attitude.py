@@ -9,9 +9,10 @@ from resc.term import Termination
 
 
 class AttitudeLimit(Termination):
-    """|roll| or |pitch| exceeds `tilt_rad`."""
+    """|roll| or |pitch| exceeds `tilt_rad`; with a difficulty d, (2 - d) times as much."""
 
     reads = (keys.EULER,)
+    eases = True
 
     def __init__(self, *, tilt_rad: float = 1.0472) -> None:
         super().__init__()
@@ -19,5 +20,8 @@ class AttitudeLimit(Termination):
             raise ConfigError(f"tilt_rad is {tilt_rad}; expected a number above zero.")
         self.tilt_rad = tilt_rad
 
-    def compute(self, euler: Float[Tensor, "n 3"]) -> Bool[Tensor, "n 1"]:
-        return euler[:, :2].abs().amax(-1, keepdim=True) > self.tilt_rad
+    def compute(
+        self, euler: Float[Tensor, "n 3"], difficulty: Float[Tensor, "n 1"] | None = None
+    ) -> Bool[Tensor, "n 1"]:
+        wider = 1.0 if difficulty is None else 2 - difficulty
+        return euler[:, :2].abs().amax(-1, keepdim=True) > self.tilt_rad * wider

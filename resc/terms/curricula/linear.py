@@ -1,0 +1,47 @@
+"""A ramp over the frames trained on."""
+
+from jaxtyping import Float
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.term import Curriculum
+
+
+class Linear(Curriculum):
+    """Difficulty that changes evenly from `first` to `last` over `frames` environment steps.
+
+    d = first + (last - first) min(t / frames, 1).
+
+    Args:
+        frames: Environment steps after which `last` is reached.
+        first: Difficulty at the start of training.
+        last: Difficulty from `frames` on.
+        levels: How many difficulties scenes are laid out at.
+    """
+
+    reads = (keys.TRAINED_FRAMES,)
+
+    def __init__(
+        self, *, frames: int, first: float = 0.0, last: float = 1.0, levels: int = 4
+    ) -> None:
+        super().__init__()
+        if frames < 1:
+            raise ConfigError(f"frames is {frames}; expected at least 1.")
+        for name, value in (("first", first), ("last", last)):
+            if not 0 <= value <= 1:
+                raise ConfigError(f"{name} is {value}; expected a number in [0, 1].")
+        if levels < 2 or first == last:
+            raise ConfigError(
+                f"levels is {levels}, first {first}, last {last}; a ramp needs at least 2 levels "
+                "and two ends (curriculum=fixed has one difficulty)."
+            )
+        self.frames = frames
+        self.first = first
+        self.last = last
+        low, high = sorted((first, last))
+        self.levels = [low + (high - low) * i / (levels - 1) for i in range(levels)]
+        self.initial = {keys.CURRICULUM_DIFFICULTY: first}
+
+    def compute(self, frames: Float[Tensor, "1 1"]) -> Float[Tensor, "1 1"]:
+        return self.first + (self.last - self.first) * (frames / self.frames).clamp(max=1)
