@@ -2,6 +2,8 @@
 
 import math
 
+TRUNCATION_M = 3.0
+"""Where the published distance field ends (facts 4.2)."""
 INFLATION_M = 0.30
 """Radius within which the vehicle counts as colliding."""
 OCCUPIED_M = 0.29
