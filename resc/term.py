@@ -155,7 +155,7 @@ class Observation(Term):
     """
 
     group = "observation"
-    columns: ClassVar[tuple[str, ...]] = ()
+    columns: tuple[str, ...] = ()
     step_draws: int = 0
     compute: Callable[..., Tensor]
 

@@ -117,8 +117,13 @@ def flight(make_env):
     return tensors | {TERMINATED: flags % 2 == 0, TRUNCATED: flags % 3 == 1, DONE: flags % 6 != 3}
 
 
+def width(term):
+    """Uniform numbers that it takes: an observation's at every step, any other's at a reset."""
+    return getattr(term, "step_draws", term.draws)
+
+
 def draw(term):
-    return torch.rand(COUNT, term.draws, generator=torch.Generator().manual_seed(1))
+    return torch.rand(COUNT, width(term), generator=torch.Generator().manual_seed(1))
 
 
 def run(term, flight, rows=None):
@@ -131,7 +136,7 @@ def run(term, flight, rows=None):
         for key in term.outputs
         if isinstance(term, kinds.Metric)
     }
-    tensors, drawn = dict(inputs), [draw(term)[chosen]] if term.draws else []
+    tensors, drawn = dict(inputs), [draw(term)[chosen]] if width(term) else []
     copies = {key: inputs[key].clone() for key in term.reads}
     if isinstance(term, kinds.Metric):
         (key,) = term.outputs

@@ -1,6 +1,7 @@
 """Constants of the published obstacle observation (facts 4.1)."""
 
 import math
+from typing import NamedTuple
 
 TRUNCATION_M = 3.0
 """Where the published distance field ends (facts 4.2)."""
@@ -12,7 +13,27 @@ MARGIN_M = math.sqrt(2) * INFLATION_M
 """Taken off the distance field before each jump of a ray."""
 SHORTEST_STEP_M = 0.1
 HALF_SECTOR_RAD = math.pi / 3
+CONTROL_POINT_RADIUS_M = 2.0
+"""Radius of the sector swept toward a control point."""
+FREE_RANGE_M = 3.0
+"""Longest free distance that is measured."""
 GAP_M = 0.9
 """Two neighbouring hits farther apart than this belong to different obstacles."""
 REACHED_M = 1e-3
 """A ray that ends this near its length met nothing."""
+
+
+class Surface(NamedTuple):
+    """What ends a ray.
+
+    Args:
+        occupied_m: A cell nearer than this to an obstacle's ends the ray.
+        margin_m: Taken off the distance field before each jump.
+    """
+
+    occupied_m: float
+    margin_m: float
+
+
+INFLATED = Surface(OCCUPIED_M, MARGIN_M)
+"""Obstacles inflated by the vehicle's radius: what all of the published rays meet."""

@@ -1,9 +1,10 @@
 """The rays of `resc.maps.ray_casting` on the CPU, `LANES` neighbours marched in step.
 
 Positions in single precision, from the map's lower-left corner, directions in double: as near to
-exact arithmetic as single-precision maps allow. Inner loops over lanes are written for the compiler
-to turn into vector instructions: no branches, one array for all that belongs to the lanes. The
-kernels are marked `no_type_check`: numba cannot compile the wrappers of the tests' type checker.
+exact arithmetic as single-precision maps allow. `limits` are the two numbers of a `Surface` and the
+distance at which the map is truncated. Inner loops over lanes are written for the compiler to turn
+into vector instructions: no branches, one array for all that belongs to the lanes. The kernels are
+marked `no_type_check`: numba cannot compile the wrappers of the tests' type checker.
 """
 
 import functools
@@ -15,20 +16,15 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from resc.maps.constants import (
-    GAP_M,
-    HALF_SECTOR_RAD,
-    MARGIN_M,
-    OCCUPIED_M,
-    REACHED_M,
-    SHORTEST_STEP_M,
-)
+from resc.maps.constants import GAP_M, HALF_SECTOR_RAD, REACHED_M, SHORTEST_STEP_M
 
 F = np.float32
-_OCCUPIED, _MARGIN, _STEP = F(OCCUPIED_M), F(MARGIN_M), F(SHORTEST_STEP_M)
-_GAP, _REACHED, _SECTOR = F(GAP_M), F(REACHED_M), F(HALF_SECTOR_RAD)
+_STEP, _GAP, _REACHED = F(SHORTEST_STEP_M), F(GAP_M), F(REACHED_M)
+_SECTOR = F(HALF_SECTOR_RAD)
 LANES = 16
 """Rays marched in step."""
+FEW = 3
+"""So many rays left over are marched one by one."""
 _UX, _UY, _TRAVELLED, _DISTANCE, _ACTIVE, _AHEAD, _INSIDE, _FOUND = range(0, 8 * LANES, LANES)
 
 
@@ -49,29 +45,30 @@ def _on_map(x, y, size_x, size_y):
 
 @njit(error_model="numpy")
 @no_type_check
-def _cast(field, width, x, y, ux, uy, length, start, size_x, size_y, per_m):
+def _cast(field, width, x, y, ux, uy, length, start, size_x, size_y, per_m, limits):
     """How far a ray gets, and whether the cell it ends in is occupied (facts 4.3)."""
+    occupied, margin, truncation = limits
     travelled, distance = F(0.0), start
     while travelled < length:
-        ahead = travelled + max(distance - _MARGIN, _STEP)
+        ahead = travelled + max(min(distance, truncation) - margin, _STEP)
         qx, qy = x + ahead * ux, y + ahead * uy
         if not _on_map(qx, qy, size_x, size_y):
-            return travelled, distance < _OCCUPIED
+            return travelled, distance < occupied
         distance = _at(field, width, qx, qy, size_x, size_y, per_m)
-        if distance < _OCCUPIED:
+        if distance < occupied:
             return ahead, True
         travelled = ahead
     end_x, end_y = x + length * ux, y + length * uy
-    return length, _at(field, width, end_x, end_y, size_x, size_y, per_m) < _OCCUPIED
+    return length, _at(field, width, end_x, end_y, size_x, size_y, per_m) < occupied
 
 
 @njit(error_model="numpy", fastmath={"nnan", "ninf", "nsz", "reassoc"})
 @no_type_check
-def _jump(x, y, size_x, size_y, width, per_m, lanes, cells):
+def _jump(x, y, size_x, size_y, width, per_m, margin, lanes, cells):
     """Proposes each lane's next point: how far it is, whether it is on the map, and its cell."""
     last_x, last_y = size_x * per_m - F(0.5), size_y * per_m - F(0.5)
     for j in range(LANES):
-        step = lanes[_ACTIVE + j] * max(lanes[_DISTANCE + j] - _MARGIN, _STEP)
+        step = lanes[_ACTIVE + j] * max(lanes[_DISTANCE + j] - margin, _STEP)
         ahead = lanes[_TRAVELLED + j] + step
         qx, qy = x + ahead * lanes[_UX + j], y + ahead * lanes[_UY + j]
         inside = (qx >= F(0.0)) & (qy >= F(0.0)) & (qx < size_x) & (qy < size_y)
@@ -84,21 +81,21 @@ def _jump(x, y, size_x, size_y, width, per_m, lanes, cells):
 
 @njit(error_model="numpy")
 @no_type_check
-def _look_up(field, lanes, cells):
+def _look_up(field, truncation, lanes, cells):
     for j in range(LANES):
-        lanes[_FOUND + j] = field[np.uint32(cells[j])]
+        lanes[_FOUND + j] = min(field[np.uint32(cells[j])], truncation)
 
 
 @njit(error_model="numpy", fastmath={"nnan", "ninf", "nsz", "reassoc"})
 @no_type_check
-def _move(length, lanes):
+def _move(length, occupied, lanes):
     """Moves the active lanes to their next points; returns how many go on."""
     going = F(0.0)
     for j in range(LANES):
         inside = lanes[_INSIDE + j] > F(0.0)
         travelled = lanes[_AHEAD + j] if inside else lanes[_TRAVELLED + j]
         distance = lanes[_FOUND + j] if inside else lanes[_DISTANCE + j]
-        goes_on = inside & (travelled < length) & (distance >= _OCCUPIED)
+        goes_on = inside & (travelled < length) & (distance >= occupied)
         active = lanes[_ACTIVE + j] if goes_on else F(0.0)
         lanes[_TRAVELLED + j], lanes[_DISTANCE + j] = travelled, distance
         lanes[_ACTIVE + j] = active
@@ -108,22 +105,23 @@ def _move(length, lanes):
 
 @njit(error_model="numpy")
 @no_type_check
-def _march(field, width, x, y, start, length, size_x, size_y, per_m, lanes, cells):
+def _march(field, width, x, y, start, length, size_x, size_y, per_m, limits, lanes, cells):
     """`_cast` for all lanes in step: leaves how far each gets and the distance stored there.
 
     One ray alone waits for one look-up after the other and for branches guessed wrong; in step
     their look-ups overlap and nothing branches, which is several times faster.
     """
+    occupied, margin, truncation = limits
     for j in range(LANES):
-        lanes[_TRAVELLED + j], lanes[_DISTANCE + j] = F(0.0), start
+        lanes[_TRAVELLED + j], lanes[_DISTANCE + j] = F(0.0), min(start, truncation)
         lanes[_ACTIVE + j] = F(1.0)
     going = F(1.0)
     while going > F(0.0):
-        _jump(x, y, size_x, size_y, width, per_m, lanes, cells)
-        _look_up(field, lanes, cells)
-        going = _move(length, lanes)
+        _jump(x, y, size_x, size_y, width, per_m, margin, lanes, cells)
+        _look_up(field, truncation, lanes, cells)
+        going = _move(length, occupied, lanes)
     for j in range(LANES):
-        if lanes[_TRAVELLED + j] >= length and lanes[_DISTANCE + j] >= _OCCUPIED:
+        if lanes[_TRAVELLED + j] >= length and lanes[_DISTANCE + j] >= occupied:
             lanes[_TRAVELLED + j] = length
             end_x, end_y = x + length * lanes[_UX + j], y + length * lanes[_UY + j]
             lanes[_DISTANCE + j] = _at(field, width, end_x, end_y, size_x, size_y, per_m)
@@ -133,7 +131,7 @@ def _march(field, width, x, y, start, length, size_x, size_y, per_m, lanes, cell
 @no_type_check
 def _sweep(
     field, width, x, y, ux, uy, radius, side, turns, rays,
-    guide_reach, guide_blocked, start, size_x, size_y, per_m, lanes, cells,
+    guide_reach, guide_blocked, start, size_x, size_y, per_m, limits, lanes, cells,
 ):  # fmt: skip
     """Where the edge of one side lies: x, y (facts 4.4).
 
@@ -148,9 +146,9 @@ def _sweep(
             lanes[_UY + j] = F(uy * turn_x + ux * turn_y)
         turn_x, turn_y = turns[LANES - 1], side * turns[2 * LANES - 1]
         ux, uy = ux * turn_x - uy * turn_y, uy * turn_x + ux * turn_y
-        _march(field, width, x, y, start, radius, size_x, size_y, per_m, lanes, cells)
+        _march(field, width, x, y, start, radius, size_x, size_y, per_m, limits, lanes, cells)
         for j in range(min(LANES, rays - first)):
-            reach, blocked = lanes[_TRAVELLED + j], lanes[_DISTANCE + j] < _OCCUPIED
+            reach, blocked = lanes[_TRAVELLED + j], lanes[_DISTANCE + j] < limits[0]
             gap = blocked and reach - last_reach > _GAP
             clear = not blocked and radius - reach < _REACHED
             if guide_blocked and (gap or clear):
@@ -216,25 +214,56 @@ def _corner(x, y, hit_x, hit_y, offset_x, offset_y, nearest, resolution):
     return best_x, best_y
 
 
+@njit(error_model="numpy")
+@no_type_check
+def _cast_fan(
+    field, width, x, y, direction, length, start, size_x, size_y, per_m, limits, lanes, cells,
+    reach, blocked,
+):  # fmt: skip
+    """Casts the rays of one fan: `LANES` in step, of those left over at most `FEW` one by one."""
+    rays = reach.size
+    alone = rays % LANES if rays % LANES <= FEW else 0
+    for first in range(0, rays - alone, LANES):
+        for j in range(LANES):
+            ray = min(first + j, rays - 1)
+            lanes[_UX + j], lanes[_UY + j] = direction[ray, 0], direction[ray, 1]
+        _march(field, width, x, y, start, length, size_x, size_y, per_m, limits, lanes, cells)
+        for j in range(min(LANES, rays - first)):
+            reach[first + j] = lanes[_TRAVELLED + j]
+            blocked[first + j] = lanes[_DISTANCE + j] < limits[0]
+    for ray in range(rays - alone, rays):
+        reach[ray], blocked[ray] = _cast(
+            field, width, x, y, direction[ray, 0], direction[ray, 1], length, start,
+            size_x, size_y, per_m, limits,
+        )  # fmt: skip
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _cast_batch(first, last, esdf, index, origin, size, here, heading, reach, result, resolution):
+def _cast_batch(
+    first, last, esdf, index, origin, size, here, direction, length, reach, blocked,
+    resolution, limits,
+):  # fmt: skip
     per_m = F(1.0) / resolution
     width, fields = np.int32(esdf.shape[2]), esdf.reshape(esdf.shape[0], -1)
+    lanes, cells = np.empty(8 * LANES, np.float32), np.empty(LANES, np.int32)
     for i in range(first, last):
         field = fields[index[i]]
         x, y = here[i, 0] - origin[i, 0], here[i, 1] - origin[i, 1]
         size_x, size_y = size[i, 0], size[i, 1]
-        ux, uy = F(math.cos(heading[i])), F(math.sin(heading[i]))
         start = _at(field, width, x, y, size_x, size_y, per_m)
-        result[i] = _cast(
-            field, width, x, y, ux, uy, reach[i], start, size_x, size_y, per_m
-        )[0]  # fmt: skip
+        for g in range(length.shape[1]):
+            _cast_fan(
+                field, width, x, y, direction[i, g], length[i, g], start, size_x, size_y, per_m,
+                limits, lanes, cells, reach[i, g], blocked[i, g],
+            )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _guided_batch(first, last, esdf, index, origin, size, here, offset, radius, result, resolution):
+def _guided_batch(
+    first, last, esdf, index, origin, size, here, offset, radius, result, resolution, limits
+):
     per_m = F(1.0) / resolution
     height, width = np.int32(esdf.shape[1]), np.int32(esdf.shape[2])
     fields = esdf.reshape(esdf.shape[0], -1)
@@ -255,14 +284,14 @@ def _guided_batch(first, last, esdf, index, origin, size, here, offset, radius, 
             toward = math.atan2(guide_y, guide_x)
             ux, uy = math.cos(toward), math.sin(toward)
             reach, blocked = _cast(
-                field, width, x, y, F(ux), F(uy), length, start, size_x, size_y, per_m
+                field, width, x, y, F(ux), F(uy), length, start, size_x, size_y, per_m, limits
             )  # fmt: skip
             rays = _turns(length, per_m, turns)
             for k in range(2):
                 side = 1.0 - 2.0 * k
                 hit_x, hit_y = _sweep(
                     field, width, x, y, ux, uy, length, side, turns, rays,
-                    reach, blocked, start, size_x, size_y, per_m, lanes, cells,
+                    reach, blocked, start, size_x, size_y, per_m, limits, lanes, cells,
                 )  # fmt: skip
                 corner_x, corner_y = _corner(
                     x, y, hit_x, hit_y, guide_x, guide_y, not blocked, resolution
@@ -271,16 +300,25 @@ def _guided_batch(first, last, esdf, index, origin, size, here, offset, radius, 
     return loaded
 
 
-def cast_batch(esdf, index, origin, size, here, heading, reach, result, resolution, threads):
-    """Writes the free distance [m] of one ray per environment to `result` [n]."""
-    arrays = (esdf, index, origin, size, here, heading, reach, result)
-    _share_out(_cast_batch, here.shape[0], threads, *arrays, F(resolution))
+def cast_batch(
+    esdf, index, origin, size, here, direction, length, reach, blocked, resolution, limits, threads
+):
+    """Writes how far rays get [m], and whether what they end in is occupied, both [n, g, b]."""
+    arrays = (esdf, index, origin, size, here, direction, length, reach, blocked)
+    _share_out(_cast_batch, here.shape[0], threads, *arrays, F(resolution), _singles(limits))
 
 
-def guided_batch(esdf, index, origin, size, here, offset, radius, result, resolution, threads):
+def guided_batch(
+    esdf, index, origin, size, here, offset, radius, result, resolution, limits, threads
+):
     """Writes the two edges per guide [m] to `result` [n, g, 4]."""
     arrays = (esdf, index, origin, size, here, offset, radius, result)
-    _share_out(_guided_batch, here.shape[0], threads, *arrays, F(resolution))
+    _share_out(_guided_batch, here.shape[0], threads, *arrays, F(resolution), _singles(limits))
+
+
+def _singles(limits):
+    """What ends a ray, and where the map is truncated, in single precision."""
+    return tuple(F(value) for value in limits)
 
 
 def _share_out(kernel, count, threads, *arguments):

@@ -1,5 +1,6 @@
 """Look-ups in a pool of distance fields, by truncation to the cell."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -17,6 +18,7 @@ class DistanceField:
         origin_w: Lower-left corner per environment [m].
         size: Extent in x and y per environment [m]; cells beyond it are padding.
         resolution_m: Edge of a cell.
+        truncation_m: Greater distances read as this one.
     """
 
     esdf: Float[Tensor, "p h w"]
@@ -24,6 +26,7 @@ class DistanceField:
     origin_w: Float[Tensor, "n 2"]
     size: Float[Tensor, "n 2"]
     resolution_m: float
+    truncation_m: float = math.inf
 
     def at(self, x: Float[Tensor, "*k n"], y: Float[Tensor, "*k n"]) -> Float[Tensor, "*k n"]:
         """Distance [m] stored in the cell of (x, y); outside, that of the nearest border cell.
@@ -38,7 +41,7 @@ class DistanceField:
         )
         row = ((y - self.origin_w[:, 1]) * per_m).clamp(min=0).minimum(last[:, 1]).to(torch.int32)
         offset = self.index.to(torch.int32) * (height * width)
-        return self.esdf.view(-1)[offset + row * width + column]
+        return self.esdf.view(-1)[offset + row * width + column].clamp(max=self.truncation_m)
 
     def inside(self, x: Float[Tensor, "*k n"], y: Float[Tensor, "*k n"]) -> Bool[Tensor, "*k n"]:
         """Whether (x, y) lies on the map."""
@@ -52,7 +55,8 @@ def select(
     origin_w: Float[Tensor, "p 2"],
     size: Float[Tensor, "p 2"],
     resolution_m: float,
+    truncation_m: float = math.inf,
 ) -> DistanceField:
     """The distance fields of the environments whose pool entries are `index`."""
     entry = index[:, 0]
-    return DistanceField(esdf, entry, origin_w[entry], size[entry], resolution_m)
+    return DistanceField(esdf, entry, origin_w[entry], size[entry], resolution_m, truncation_m)

@@ -16,20 +16,32 @@ from resc.maps import cpu_kernels
 from resc.maps.constants import (
     GAP_M,
     HALF_SECTOR_RAD,
-    MARGIN_M,
-    OCCUPIED_M,
+    INFLATED,
     REACHED_M,
     SHORTEST_STEP_M,
+    Surface,
 )
 from resc.maps.distance_field import DistanceField
 
 
-def free_distance(
-    field: DistanceField, here: Float[Tensor, "n 2"], offset: Float[Tensor, "n 2"], range_m: float
-) -> Float[Tensor, " n"]:
-    """How far [m] a ray toward `offset` gets, at most `range_m`."""
-    heading = torch.atan2(offset[:, 1], offset[:, 0])
-    reach = torch.full_like(heading, range_m)
+def rays(
+    field: DistanceField,
+    here: Float[Tensor, "n 2"],
+    direction: Float[Tensor, "n g b 2"],
+    length: Float[Tensor, "n g"],
+    longest_m: float,
+    surface: Surface = INFLATED,
+) -> tuple[Float[Tensor, "n g b"], Bool[Tensor, "n g b"]]:
+    """How far rays get [m], and whether they end in an occupied cell; see `cast`.
+
+    Args:
+        field: The map of each environment.
+        here: Where the rays start.
+        direction: Their unit vectors, in fans of `b` rays.
+        length: The length of the rays of each fan.
+        longest_m: An upper bound of `length`.
+        surface: What the rays meet.
+    """
     if here.is_cpu:
         return torch.ops.resc.cast(
             field.esdf,
@@ -37,11 +49,28 @@ def free_distance(
             field.origin_w,
             field.size,
             here,
-            heading,
-            reach,
+            direction,
+            length,
             field.resolution_m,
+            [*surface, field.truncation_m],
         )
-    return cast(field, here, heading.cos(), heading.sin(), reach, range_m)[0]
+    return rays_in_torch(field, here, direction, length, longest_m, surface)
+
+
+def free_distance(
+    field: DistanceField, here: Float[Tensor, "n 2"], offset: Float[Tensor, "n 2"], range_m: float
+) -> Float[Tensor, " n"]:
+    """How far [m] a ray toward `offset` gets, at most `range_m`; along x without a direction."""
+    direction = toward(offset)[:, None, None]
+    length = torch.full_like(offset[:, :1], range_m)
+    return rays(field, here, direction, length, range_m)[0][:, 0, 0]
+
+
+def toward(offset: Float[Tensor, "*n 2"]) -> Float[Tensor, "*n 2"]:
+    """The unit vector along `offset`; along x if that is zero."""
+    length = torch.linalg.vector_norm(offset, dim=-1, keepdim=True)
+    along_x = torch.tensor([1.0, 0.0], dtype=offset.dtype, device=offset.device)
+    return torch.where(length > 0, offset / torch.where(length > 0, length, 1.0), along_x)
 
 
 def guided(
@@ -68,12 +97,20 @@ def guided(
             offset,
             radius,
             field.resolution_m,
+            [*INFLATED, field.truncation_m],
         )
     edges = [
         guided_in_torch(field, here, offset[:, g], radius[:, g], longest_m)
         for g in range(offset.shape[1])
     ]
     return torch.stack(edges, 1)
+
+
+def fan(middle: Float[Tensor, "n g 2"], turn: Float[Tensor, "b 2"]) -> Float[Tensor, "n g b 2"]:
+    """Unit vectors turned counter-clockwise by angles whose cosine and sine are `turn`."""
+    x, y = middle.unsqueeze(2).unbind(-1)
+    cosine, sine = turn.unbind(-1)
+    return torch.stack((x * cosine - y * sine, y * cosine + x * sine), -1)
 
 
 @torch.library.custom_op("resc::cast", mutates_args=(), device_types="cpu")
@@ -83,21 +120,25 @@ def _cast_on_cpu(
     origin: Tensor,
     size: Tensor,
     here: Tensor,
-    heading: Tensor,
-    reach: Tensor,
+    direction: Tensor,
+    length: Tensor,
     resolution: float,
-) -> Tensor:
-    result = torch.empty_like(reach)
-    arrays = [
-        t.contiguous().numpy() for t in (esdf, index, origin, size, here, heading, reach, result)
-    ]
-    cpu_kernels.cast_batch(*arrays, resolution=resolution, threads=torch.get_num_threads())
-    return result
+    limits: list[float],
+) -> tuple[Tensor, Tensor]:
+    reach = here.new_empty(direction.shape[:-1])
+    blocked = torch.empty_like(reach, dtype=torch.bool)
+    given = (esdf, index, origin, size, here, direction, length, reach, blocked)
+    arrays = [tensor.contiguous().numpy() for tensor in given]
+    cpu_kernels.cast_batch(
+        *arrays, resolution=resolution, limits=limits, threads=torch.get_num_threads()
+    )
+    return reach, blocked
 
 
 @_cast_on_cpu.register_fake
-def _(esdf, index, origin, size, here, heading, reach, resolution):  # noqa: ANN001, ANN202
-    return torch.empty_like(reach)
+def _(esdf, index, origin, size, here, direction, length, resolution, limits):  # noqa: ANN001, ANN202
+    reach = here.new_empty(direction.shape[:-1])
+    return reach, torch.empty_like(reach, dtype=torch.bool)
 
 
 @torch.library.custom_op("resc::guided", mutates_args=(), device_types="cpu")
@@ -110,17 +151,19 @@ def _guided_on_cpu(
     offset: Tensor,
     radius: Tensor,
     resolution: float,
+    limits: list[float],
 ) -> Tensor:
     result = here.new_empty(*radius.shape, 4)
-    arrays = [
-        t.contiguous().numpy() for t in (esdf, index, origin, size, here, offset, radius, result)
-    ]
-    cpu_kernels.guided_batch(*arrays, resolution=resolution, threads=torch.get_num_threads())
+    given = (esdf, index, origin, size, here, offset, radius, result)
+    arrays = [tensor.contiguous().numpy() for tensor in given]
+    cpu_kernels.guided_batch(
+        *arrays, resolution=resolution, limits=limits, threads=torch.get_num_threads()
+    )
     return result
 
 
 @_guided_on_cpu.register_fake
-def _(esdf, index, origin, size, here, offset, radius, resolution):  # noqa: ANN001, ANN202
+def _(esdf, index, origin, size, here, offset, radius, resolution, limits):  # noqa: ANN001, ANN202
     return here.new_empty(*radius.shape, 4)
 
 
@@ -131,14 +174,16 @@ def cast(
     direction_y: Float[Tensor, "*k n"],
     length: Float[Tensor, "*k n"],
     longest_m: float,
+    surface: Surface = INFLATED,
 ) -> tuple[Float[Tensor, "*k n"], Bool[Tensor, "*k n"]]:
     """How far rays get [m], and whether the cell they end in is occupied (facts 4.3).
 
     Environments last.
 
-    Each jump is the stored distance less `MARGIN_M`, at least `SHORTEST_STEP_M`. A ray ends in the
-    first occupied cell, before the jump that leaves the map, or at its length; the last jump may
-    overshoot the length, and the start cell is not tested.
+    Each jump is the stored distance less the surface's margin, at least `SHORTEST_STEP_M`. A ray
+    ends in the first occupied cell, before the jump that leaves the map, or at its length; the last
+    jump may overshoot the length, and the start cell is not tested. Without length it does not
+    exist.
 
     Args:
         field: The map of each environment.
@@ -147,6 +192,7 @@ def cast(
         direction_y: y of their unit directions.
         length: Their lengths.
         longest_m: An upper bound of `length`; sets the number of jumps.
+        surface: What the rays meet.
     """
     x, y = here.unbind(-1)
     travelled = torch.zeros_like(length)
@@ -154,15 +200,31 @@ def cast(
     active = length > 0
     distance = field.at(x, y).expand_as(length)
     for _ in range(math.ceil(longest_m / SHORTEST_STEP_M) + 1):
-        next_travelled = travelled + (distance - MARGIN_M).clamp(min=SHORTEST_STEP_M)
+        next_travelled = travelled + (distance - surface.margin_m).clamp(min=SHORTEST_STEP_M)
         next_x, next_y = x + next_travelled * direction_x, y + next_travelled * direction_y
         distance = field.at(next_x, next_y)
         inside = field.inside(next_x, next_y)
-        stops = active & ((distance < OCCUPIED_M) | ~inside)
+        stops = active & ((distance < surface.occupied_m) | ~inside)
         reached = torch.where(stops, torch.where(inside, next_travelled, travelled), reached)
         active = active & ~stops & (next_travelled < length)
         travelled = next_travelled
-    return reached, field.at(x + reached * direction_x, y + reached * direction_y) < OCCUPIED_M
+    end = field.at(x + reached * direction_x, y + reached * direction_y)
+    return reached, end < surface.occupied_m
+
+
+def rays_in_torch(
+    field: DistanceField,
+    here: Float[Tensor, "n 2"],
+    direction: Float[Tensor, "n g b 2"],
+    length: Float[Tensor, "n g"],
+    longest_m: float,
+    surface: Surface = INFLATED,
+) -> tuple[Float[Tensor, "n g b"], Bool[Tensor, "n g b"]]:
+    """`rays` by torch operations alone, every ray of the batch marched together."""
+    x, y = direction.permute(3, 1, 2, 0)  # [g, b, n]
+    lengths = length.T.unsqueeze(1).expand_as(x)
+    reach, blocked = cast(field, here, x, y, lengths, longest_m, surface)
+    return reach.permute(2, 0, 1), blocked.permute(2, 0, 1)
 
 
 def guided_in_torch(
@@ -175,10 +237,10 @@ def guided_in_torch(
     """`guided` for one guide by torch operations alone, every ray of the batch marched together."""
     step = torch.atan2(torch.full_like(radius, field.resolution_m / 2), radius)
     rays = math.ceil(HALF_SECTOR_RAD / math.atan2(field.resolution_m / 2, longest_m))
-    toward = torch.atan2(offset[:, 1], offset[:, 0])
+    guide = torch.atan2(offset[:, 1], offset[:, 0])
     number = torch.arange(rays + 1, device=step.device, dtype=step.dtype)[:, None, None]
     side = torch.tensor([1.0, -1.0], device=step.device, dtype=step.dtype)[:, None]
-    angle = toward + side * (number * step)  # [rays + 1, 2, n]
+    angle = guide + side * (number * step)  # [rays + 1, 2, n]
     cos, sin = angle.cos(), angle.sin()
     reached, blocked = cast(field, here, cos, sin, radius.expand_as(angle), longest_m)
     exists = ((number - 1) * step < HALF_SECTOR_RAD).expand_as(blocked)

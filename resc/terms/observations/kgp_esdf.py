@@ -1,21 +1,19 @@
 """Kinematic-guided pseudo-raycast: the obstacle edges that bound the way ahead, in nine numbers."""
 
+from typing import Unpack
+
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.maps.constants import INFLATION_M
-from resc.maps.distance_field import select
+from resc.maps.constants import CONTROL_POINT_RADIUS_M, FREE_RANGE_M, INFLATION_M
+from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
 from resc.maps.ray_casting import free_distance, guided
-from resc.term import Context, Observation
-
-CONTROL_POINT_RADIUS_M = 2.0
-FREE_RANGE_M = 3.0
 
 
-class KgpEsdf(Observation):
+class KgpEsdf(MapObservation):
     """Edges beside the velocity and the control point, and one free distance [m], world-aligned.
 
     [guided(p, p_v), guided(p, cp), d] with p_v = p + v / |v| * |p - cp| (facts 4.4, 4.5). `guided`
@@ -29,17 +27,14 @@ class KgpEsdf(Observation):
         free_distance: What d is measured along: the velocity (as in the paper) or the control point
             (as in the code).
         longest_guide_m: Bound of the velocity guide's radius; farther control points are cut to it.
-        scale: Factor on all nine numbers.
+        **options: Of every observation of the map.
     """
 
     reads = (
         keys.POSITION_W,
         keys.VELOCITY_W,
         keys.CONTROL_POINTS_W,
-        keys.SCENE_INDEX,
-        keys.ESDF,
-        keys.MAP_ORIGIN_W,
-        keys.MAP_SIZE,
+        *MAP_KEYS,
     )
     columns = (
         *(f"velocity_{side}_{axis}" for side in ("left", "right") for axis in "xy"),
@@ -48,9 +43,13 @@ class KgpEsdf(Observation):
     )
 
     def __init__(
-        self, *, free_distance: str = "velocity", longest_guide_m: float = 3.0, scale: float = 1.0
+        self,
+        *,
+        free_distance: str = "velocity",
+        longest_guide_m: float = 3.0,
+        **options: Unpack[MapOptions],
     ) -> None:
-        super().__init__(scale=scale)
+        super().__init__(**options)
         if free_distance not in ("velocity", "control_point"):
             raise ConfigError(
                 f"free_distance is '{free_distance}'; expected 'velocity' or 'control_point'."
@@ -61,23 +60,15 @@ class KgpEsdf(Observation):
             )
         self.free_distance = free_distance
         self.longest_guide_m = longest_guide_m
-        self.resolution_m = 0.0
-
-    def bind(self, context: Context) -> None:
-        """Takes the size of a map cell."""
-        self.resolution_m = context.resolution_m
 
     def compute(
         self,
         position: Float[Tensor, "n 3"],
         velocity: Float[Tensor, "n 3"],
         control_points: Float[Tensor, "n 2 3"],
-        index: Int[Tensor, "n 1"],
-        esdf: Float[Tensor, "p h w"],
-        origin: Float[Tensor, "p 2"],
-        size: Float[Tensor, "p 2"],
+        *maps: Tensor,
     ) -> Float[Tensor, "n 9"]:
-        field = select(esdf, index, origin, size, self.resolution_m)
+        field = self.field(*maps)
         here = position[:, :2]
         to_point = control_points[:, 0] - position
         to_velocity = _toward_velocity(velocity, to_point)
