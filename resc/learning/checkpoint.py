@@ -35,7 +35,7 @@ class Policy:
     """A trained policy with all that is needed to fly it.
 
     Args:
-        head: The network.
+        head: The network, its normalisation of the observation included.
         layout: Names and widths of the observation's blocks.
         config: The resolved configuration it was trained with: data, not code.
     """
@@ -71,9 +71,11 @@ def save_policy(folder: Path, networks: Networks, stages: Stages, config: DictCo
     folder.mkdir(parents=True, exist_ok=True)
     state = {name: value.cpu() for name, value in networks.head.state_dict().items()}
     value = {name: value.cpu() for name, value in networks.critic.state_dict().items()}
+    seen = {name: value.cpu() for name, value in networks.normalization.state_dict().items()}
     content = {
         "head": state,
         "critic": value,
+        "normalization": seen,
         "layout": [list(block) for block in layout_of(stages)],
     }
     write_atomically(folder / POLICY, content)
@@ -103,11 +105,12 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
     )
     try:
         networks.head.load_state_dict(content["head"])
+        networks.normalization.load_state_dict(content.get("normalization", {}))
     except RuntimeError as error:
         raise CheckpointError(
             f"{folder / POLICY} does not fit {CONFIG} beside it: {error}"
         ) from None
-    return Policy(networks.head.to(device).eval(), layout, config)
+    return Policy(networks.policy.to(device).eval(), layout, config)
 
 
 def save_checkpoint(path: Path, trainer: Ppo) -> None:
@@ -116,6 +119,7 @@ def save_checkpoint(path: Path, trainer: Ppo) -> None:
     content = {
         "actor": trainer.networks.actor.state_dict(),
         "critic": trainer.networks.critic.state_dict(),
+        "normalization": trainer.networks.normalization.state_dict(),
         "optimizer": trainer.optimizer.state_dict(),
         "frames": trainer.frames,
         "iteration": trainer.iteration,
@@ -153,6 +157,7 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
         )
     trainer.networks.actor.load_state_dict(content["actor"])
     trainer.networks.critic.load_state_dict(content["critic"])
+    trainer.networks.normalization.load_state_dict(content.get("normalization", {}))
     trainer.optimizer.load_state_dict(content["optimizer"])
     trainer.frames, trainer.iteration = content["frames"], content["iteration"]
     trainer.noise.set_state(content["noise"].cpu())

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
@@ -12,7 +12,48 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 
 from resc.errors import ConfigError
 
+EPSILON = 1e-8
+BOUND = 10.0
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
+
+
+class RunningNormalization(nn.Module):
+    """The observation with mean 0 and variance 1 by column, as far as it has been seen.
+
+    y = clip((x - mean) / sqrt(variance + 1e-8), -10, 10): the constants of Stable-Baselines3. The
+    identity until the first `update`. Nothing but `update` changes the statistics: evaluation, a
+    resumed run and a policy file use what they load.
+    """
+
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        # float64: sums over 1e8 samples
+        self.register_buffer("mean", torch.zeros(width, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(width, dtype=torch.float64))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+
+    def forward(self, observation: Float[Tensor, "*n d"]) -> Float[Tensor, "*n d"]:
+        """The observation, normalised."""
+        inverse_std = (self.variance + EPSILON).rsqrt().to(observation.dtype)
+        centred = observation - self.mean.to(observation.dtype)
+        return (centred * inverse_std).clamp(-BOUND, BOUND)
+
+    @torch.no_grad()
+    def update(self, observation: Float[Tensor, "*n d"]) -> None:
+        """Adds a batch to the statistics, in place (Chan et al. 1979)."""
+        batch = observation.flatten(0, -2).double()
+        variance, mean = torch.var_mean(batch, 0, correction=0)
+        total = self.count + len(batch)
+        share = len(batch) / total
+        step = mean - self.mean
+        spread = self.variance * (1 - share) + variance * share + step**2 * share * (1 - share)
+        self.variance.copy_(spread)
+        self.mean += step * share
+        self.count.copy_(total)
 
 
 class GaussianHead(nn.Module):
@@ -31,25 +72,39 @@ class GaussianHead(nn.Module):
         return mean, self.log_std.exp().expand_as(mean)
 
 
+NORMALIZATIONS = {"none": nn.Identity, "running": RunningNormalization}
+
+
 @dataclass(frozen=True)
 class Networks:
-    """The policy `actor` and the value function `critic`; they share nothing."""
+    """The policy `actor` and the value function `critic`; they share nothing but their input.
+
+    That is what `normalization` makes of the observation. It stands before them, not in them, so
+    that an update normalises its batch once.
+    """
 
     actor: ProbabilisticActor
     critic: ValueOperator
+    normalization: nn.Module = field(default_factory=nn.Identity)
 
     @property
     def head(self) -> GaussianHead:
-        """The policy without its distribution."""
+        """The policy without its distribution: of normalised observations."""
         # A sequence does not tell what its modules wrap; `build_networks` put the head there.
         return self.actor[0].module  # pyright: ignore[reportReturnType]
+
+    @property
+    def policy(self) -> nn.Module:
+        """The normalisation, then the head: takes observations as the environment gives them."""
+        return nn.Sequential(self.normalization, self.head)
 
     def parameters(self) -> list[nn.Parameter]:
         """All weights, policy first."""
         return [*self.actor.parameters(), *self.critic.parameters()]
 
     def to(self, device: torch.device | str) -> "Networks":
-        """Moves both in place."""
+        """Moves all in place."""
+        self.normalization.to(device)
         self.actor.to(device)
         self.critic.to(device)
         return self
@@ -60,6 +115,7 @@ def build_networks(
     hidden: Sequence[int],
     activation: str = "tanh",
     initial_std: float = 0.6,
+    normalization: str = "none",
     observation_width: int,
     action_width: int,
     seed: int = 0,
@@ -70,6 +126,8 @@ def build_networks(
         hidden: Width of each hidden layer.
         activation: tanh, relu or elu.
         initial_std: Standard deviation of the actions at the start, in action units.
+        normalization: Of the observation: none, or running (mean 0 and variance 1 by column, from
+            what training has seen). Fixed factors are each observation's `scale`.
         observation_width: Length of the observation.
         action_width: Length of the action.
         seed: Of the initial weights.
@@ -77,6 +135,10 @@ def build_networks(
     if activation not in ACTIVATIONS:
         raise ConfigError(
             f"activation is '{activation}'; expected one of {', '.join(ACTIVATIONS)}."
+        )
+    if normalization not in NORMALIZATIONS:
+        raise ConfigError(
+            f"normalization is '{normalization}'; expected one of {', '.join(NORMALIZATIONS)}."
         )
     if initial_std <= 0 or min(hidden, default=1) < 1:
         raise ConfigError("initial_std and every hidden width must be above zero.")
@@ -90,7 +152,8 @@ def build_networks(
     actor = ProbabilisticActor(
         head, in_keys=["loc", "scale"], distribution_class=IndependentNormal, return_log_prob=True
     )
-    return Networks(actor, ValueOperator(value, in_keys=["observation"]))
+    critic = ValueOperator(value, in_keys=["observation"])
+    return Networks(actor, critic, NORMALIZATIONS[normalization](observation_width))
 
 
 def _perceptron(

@@ -19,7 +19,7 @@ from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError, NumericalError
 from resc.learning.curriculum import Curricula
-from resc.learning.networks import Networks
+from resc.learning.networks import Networks, RunningNormalization
 from resc.learning.statistics import EpisodeStatistics
 from resc.math.sampling import generator_for
 from resc.term import Curriculum
@@ -155,6 +155,7 @@ class Ppo:
         self.collect()
         self.estimate_advantages()
         figures = self.update()
+        self._learn_normalization()
         self.frames += self.batch_frames
         self.iteration += 1
         self.curricula.advance(self.frames, self.statistics.complete())
@@ -197,7 +198,8 @@ class Ppo:
         last_value = self._act(self.env.observation, torch.zeros_like(batch["action"][0]))[2]
         next_value = torch.cat((batch["state_value"][1:], last_value.unsqueeze(0)))
         for t, rows, observation in self._terminal:
-            next_value[t, rows] = self.networks.critic.module(observation)
+            normal = self.networks.normalization(observation)
+            next_value[t, rows] = self.networks.critic.module(normal)
         advantage, target = generalized_advantage_estimate(
             settings.gamma,
             settings.gae_lambda,
@@ -219,6 +221,7 @@ class Ppo:
             group["lr"] = rate
         names = ("observation", "action", "action_log_prob", "advantage", "value_target")
         flat = {name: cast(Tensor, self.batch[name]).flatten(0, 1) for name in names}
+        flat["observation"] = self.networks.normalization(flat["observation"])
         sums = torch.zeros(5, device=self.env.device)
         count = 0
         for _ in range(settings.epochs):
@@ -270,10 +273,19 @@ class Ppo:
 
     def _act_eagerly(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
         """Action, its log probability and the value [n, 1]."""
+        observation = self.networks.normalization(observation)
         mean, std = self.networks.head(observation)
         action = mean + std * noise
         log_prob = (-0.5 * noise.square() - std.log() - 0.9189385).sum(-1)  # 0.5 log(2 pi)
         return action, log_prob, self.networks.critic.module(observation)
+
+    def _learn_normalization(self) -> None:
+        """Adds the batch to running statistics; only now, so that collecting and updating agree.
+
+        Were they renewed before the update, the probability ratio would not begin at one.
+        """
+        if isinstance(self.networks.normalization, RunningNormalization):
+            self.networks.normalization.update(self.batch["observation"])
 
     def _renew(self) -> None:
         """Lays scenes out anew; the few episodes still flying in them are truncated."""
