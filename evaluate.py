@@ -21,7 +21,7 @@ from resc import schema
 from resc.build import nearest
 from resc.errors import ConfigError, RescError
 from resc.evaluation.campaign import evaluate
-from resc.launch import launch
+from resc.launch import launch, refuse_doubles
 from resc.learning.checkpoint import load_policy
 from resc.process import prepare_process
 
@@ -30,6 +30,7 @@ from resc.process import prepare_process
 def main(config: DictConfig) -> None:
     """One evaluation in Hydra's run folder."""
     try:
+        refuse_doubles()
         prepare_process(config["threads"], config["device"])
         scenes = compose_scenes(config)
         policy = load_policy(Path(config["policy"]), config["device"])

@@ -19,7 +19,7 @@ from resc import schema
 from resc.build import build
 from resc.errors import RescError
 from resc.evaluation.run_folder import finish_run, link_latest
-from resc.launch import launch
+from resc.launch import launch, refuse_doubles
 from resc.learning.assemble import build_trainer, fly_held_out, restore, resumed
 from resc.learning.checkpoint import CONFIG, save_policy
 from resc.learning.ppo import RENEWED
@@ -33,6 +33,7 @@ from resc.recording.rollouts import open_recorder
 def main(config: DictConfig) -> None:
     """One training run in Hydra's run folder."""
     try:
+        refuse_doubles()
         run(config, Path(HydraConfig.get().runtime.output_dir))
     except RescError as error:
         sys.exit("\n".join([f"error: {error}", *getattr(error, "__notes__", [])]))

@@ -5,15 +5,22 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 from hydra import compose, initialize_config_dir
+from hydra._internal.config_repository import ConfigRepository
+from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from resc.build import nearest
 
 CONF = Path(__file__).parents[1] / "conf"
+LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric")
+"""Groups of which a configuration takes several files."""
 
 
 def launch(main: Callable[[], None], config_name: str) -> None:
@@ -25,6 +32,37 @@ def launch(main: Callable[[], None], config_name: str) -> None:
         main()
     except HydraException as error:
         sys.exit(f"error: {explain(error, config_name)}")
+
+
+def refuse_doubles() -> None:
+    """Refuses a composed configuration in which a term is defined twice.
+
+    Hydra would merge the two without a word: the numbers of the later one would count.
+
+    Raises:
+        ConfigError: The term and the files that define it.
+    """
+    hydra = HydraConfig.get()
+    overrides = [*hydra.overrides.hydra, *hydra.overrides.task]
+    loader = GlobalHydra.instance().config_loader()
+    listed = loader.compute_defaults_list(hydra.job.config_name, overrides, RunMode.RUN)
+    search = ConfigSearchPathImpl()
+    for source in hydra.runtime.config_sources:
+        search.append(source.provider, f"{source.schema}://{source.path}")
+    files = ConfigRepository(search)
+    defined: dict[str, str] = {}
+    for path, package in ((d.config_path, d.package) for d in listed.defaults):
+        loaded = files.load_config(path) if path and package in LISTS else None
+        content = cast(DictConfig, loaded.config) if loaded else {}
+        for name, node in content.items():
+            if not isinstance(node, DictConfig) or "_target_" not in node:
+                continue
+            term = f"{package}.{name}"
+            if term in defined:
+                both = dict.fromkeys((defined[term], path))
+                source = " and ".join(both) if len(both) > 1 else f"{path}, listed twice"
+                raise ConfigError(f"{term} is defined by {source}; keep one, or rename the other.")
+            defined[term] = str(path)
 
 
 def explain(error: HydraException, config_name: str) -> str:

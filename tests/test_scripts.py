@@ -19,6 +19,10 @@ def start(script, *overrides):
     [
         ("reward.progres.weight=1", "reward has no 'progres'. Did you mean 'progress'?"),
         ("reward=[progres]", "reward has no 'progres'. Did you mean 'progress'?"),
+        (
+            "reward=[paper2024,progress]",
+            "reward.progress is defined by reward/progress, listed twice; keep one",
+        ),
         ("vehicle.mass_kg=-1", "vehicle: mass_kg is -1.0; expected a number above zero."),
     ],
 )
@@ -30,6 +34,17 @@ def test_wrong_override_of_training_gets_one_sentence_and_a_failing_status(
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("error: ")
     assert sentence in last
+
+
+def test_two_files_that_define_one_term_are_named(tmp_path):
+    (tmp_path / "reward").mkdir()
+    (tmp_path / "reward" / "mine.yaml").write_text(
+        "time:\n  _target_: resc.terms.rewards.time.Time\n  weight: 1.0\n"
+    )
+    search = f"hydra.searchpath=[file://{tmp_path}]"
+    done = start("train.py", search, "reward=[progress,time,mine]", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 1
+    assert "error: reward.time is defined by reward/time and reward/mine; keep one" in done.stderr
 
 
 def test_wrong_override_of_evaluation_names_the_nearest_setting(tmp_path):
