@@ -168,8 +168,8 @@ class Observation(Term):
         history: int | None = None,
     ) -> None:
         super().__init__()
-        if not 0 <= noise < float("inf"):
-            raise ConfigError(f"noise is {noise}; expected a finite number from 0 on.")
+        if noise < 0:
+            raise ConfigError(f"noise is {noise}; expected a number from 0 on.")
         if clip is not None and clip <= 0:
             raise ConfigError(f"clip is {clip}; expected a number above zero, or null for none.")
         if history is not None and history < 1:
