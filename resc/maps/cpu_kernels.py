@@ -281,7 +281,8 @@ def _guided_batch(
         start = _at(field, width, x, y, size_x, size_y, per_m)
         for g in range(offset.shape[1]):
             guide_x, guide_y, length = offset[i, g, 0], offset[i, g, 1], radius[i, g]
-            toward = math.atan2(guide_y, guide_x)
+            # Not -pi, as atan2 has it for a pair of negative zeros: without a direction, along x.
+            toward = math.atan2(guide_y, guide_x) if guide_x != 0 or guide_y != 0 else 0.0
             ux, uy = math.cos(toward), math.sin(toward)
             reach, blocked = _cast(
                 field, width, x, y, F(ux), F(uy), length, start, size_x, size_y, per_m, limits

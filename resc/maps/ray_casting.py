@@ -237,7 +237,8 @@ def guided_in_torch(
     """`guided` for one guide by torch operations alone, every ray of the batch marched together."""
     step = torch.atan2(torch.full_like(radius, field.resolution_m / 2), radius)
     rays = math.ceil(HALF_SECTOR_RAD / math.atan2(field.resolution_m / 2, longest_m))
-    guide = torch.atan2(offset[:, 1], offset[:, 0])
+    ahead = toward(offset)
+    guide = torch.atan2(ahead[:, 1], ahead[:, 0])
     number = torch.arange(rays + 1, device=step.device, dtype=step.dtype)[:, None, None]
     side = torch.tensor([1.0, -1.0], device=step.device, dtype=step.dtype)[:, None]
     angle = guide + side * (number * step)  # [rays + 1, 2, n]

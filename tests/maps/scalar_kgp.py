@@ -15,23 +15,31 @@ REACHED = 1e-3
 
 
 class Map:
-    """A distance field as nested lists, row 0 lowest, its lower-left corner at `origin`."""
+    """A distance field as nested lists, row 0 lowest, its lower-left corner at `origin`.
 
-    def __init__(self, rows, origin=(0.0, 0.0)):
-        self.rows, self.origin = rows, origin
+    Distances read at most `truncation`; `occupied` and `margin` are those of what rays meet. A ray
+    that has come within `slack` of its length has reached it.
+    """
+
+    def __init__(
+        self, rows, origin=(0.0, 0.0), truncation=math.inf, occupied=OCCUPIED, margin=MARGIN
+    ):
+        self.rows, self.origin, self.truncation = rows, origin, truncation
+        self.limit, self.margin, self.slack = occupied, margin, 0.0
         self.height, self.width = len(rows), len(rows[0])
 
     def esdf(self, q):
         column = int((q[0] - self.origin[0]) / RESOLUTION)
         row = int((q[1] - self.origin[1]) / RESOLUTION)
-        return self.rows[min(max(row, 0), self.height - 1)][min(max(column, 0), self.width - 1)]
+        stored = self.rows[min(max(row, 0), self.height - 1)][min(max(column, 0), self.width - 1)]
+        return min(stored, self.truncation)
 
     def holds(self, q):
         x, y = q[0] - self.origin[0], q[1] - self.origin[1]
         return 0 <= x < self.width * RESOLUTION and 0 <= y < self.height * RESOLUTION
 
     def occupied(self, q):
-        return self.esdf(q) < OCCUPIED
+        return self.esdf(q) < self.limit
 
 
 def cast(field, start, end):
@@ -41,8 +49,8 @@ def cast(field, start, end):
         return end
     ux, uy = (end[0] - start[0]) / length, (end[1] - start[1]) / length
     travelled, q = 0.0, start
-    while travelled < length:
-        jump = field.esdf(q) - MARGIN
+    while travelled < length - field.slack:
+        jump = field.esdf(q) - field.margin
         step = jump if jump >= 0.1 else 0.1
         before = q
         q = (q[0] + step * ux, q[1] + step * uy)

@@ -8,6 +8,7 @@ all of them ties); all others agree to 1e-4 m.
 """
 
 import math
+from dataclasses import replace
 
 import pytest
 import scalar_kgp
@@ -15,6 +16,7 @@ import torch
 from torch.testing import assert_close
 
 from resc.maps import ray_casting
+from resc.maps.constants import INFLATED, Surface
 from resc.maps.distance_field import DistanceField
 from resc.maps.distance_transform import distance_transform
 
@@ -160,6 +162,28 @@ def test_free_distances_of_the_cpu_operator_differ_in_at_most_two_of_a_thousand_
     ours = ray_casting.free_distance(field_of(esdf, index), here, offset, 3.0)
     on_map = ~free.isnan()
     assert share_that_differs(ours[on_map], free[on_map]) <= MISMATCHES
+
+
+@pytest.mark.parametrize("surface", [INFLATED, Surface(0.05, 0.1414)])
+@pytest.mark.parametrize("truncation_m", [math.inf, 0.8])
+@pytest.mark.parametrize("count", [1, 3, 11, 31, 34])
+def test_a_fan_of_rays_is_the_same_on_the_cpu_and_in_torch(poses, surface, truncation_m, count):
+    _, index, here, offset, radius, _, _ = (part[:256] for part in poses)
+    field = replace(field_of(poses[0], index), truncation_m=truncation_m)
+    angle = torch.linspace(-2.0, 2.0, count)
+    middle = ray_casting.toward(torch.stack((offset, -offset), 1))
+    direction = ray_casting.fan(middle, torch.stack((angle.cos(), angle.sin()), -1))
+    length = torch.stack((radius, radius / 2), 1)
+    given = (field, here, direction, length, 3.0, surface)
+    (reach, blocked), (expected, hit) = ray_casting.rays(*given), ray_casting.rays_in_torch(*given)
+    differs = ((reach - expected).abs() > TOLERANCE_M) | (blocked != hit)
+    assert differs.double().mean() <= MISMATCHES
+    assert 0.05 < hit.double().mean() < 0.95
+
+
+def test_a_guide_of_negative_zeros_has_no_direction_either():
+    here, esdf = (6.03, 6.03), one_map((70, 60, 3, 3))
+    assert edges(esdf, here, (-0.0, -0.0), 0.3) == edges(esdf, here, (0.0, 0.0), 0.3)
 
 
 def test_many_rows_are_shared_out_among_threads_without_a_change(poses):

@@ -157,7 +157,8 @@ def test_columns_are_named_in_the_order_of_the_numbers(make_stages):
         8: "body_rate.p",
         11: "esdf_patch.row_0_column_0",
     }
-    at |= {15: "esdf_patch.row_1_column_1", 19: "esdf_patch.row_2_column_2", 20: "heights.to_ceiling"}
+    at |= {15: "esdf_patch.row_1_column_1", 19: "esdf_patch.row_2_column_2"}
+    at |= {20: "heights.to_ceiling"}
     at |= {
         22: "kgp_esdf.velocity_left_x",
         25: "kgp_esdf.velocity_right_y",
