@@ -1,8 +1,8 @@
 """What every part of `conf/` keeps, one case per YAML file: a new file needs no test of its own.
 
 It builds; it writes only what it declares, in the declared shape; its numbers are finite; the same
-inputs give the same bits; permuting the environments permutes the result; and one environment alone
-gives what it gives among others.
+inputs give the same bits; permuting the environments permutes the result; one environment alone
+gives what it gives among others; and resetting one leaves the others untouched.
 """
 
 from pathlib import Path
@@ -15,6 +15,7 @@ from torch.testing import assert_close
 from resc import term as kinds
 from resc.build import build, build_terms
 from resc.keys import ACTION, DECLARED, DONE, TERMINATED, TRUNCATED
+from resc.planning.route import planner_for
 from resc.simulation.rate_loop import RateLoop
 from resc.simulation.rigid_body import RigidBody
 from resc.simulation.vehicle import Vehicle
@@ -65,7 +66,7 @@ def parts(load_part):
             terms = [build(node, group).named(group)]
         elif group == "task":
             terms = [
-                build(node[part], f"task.{part}").named(part)
+                build(plain(node[part]), f"task.{part}").named(part)
                 for part in ("control_points", "initial_state")
             ]
         else:
@@ -77,22 +78,23 @@ def parts(load_part):
     return make
 
 
+def plain(node):
+    """A node without the difficulty that may ease it: that is no argument of its class."""
+    return {key: value for key, value in node.items() if key != "difficulty"}
+
+
+def every_list():
+    """Overrides that choose every part of every group that takes a list."""
+    chosen = {group: names(group) for group in LISTS if group != "obstacle_observation"}
+    chosen = {g: [n for n in found if not is_set(g, n)] for g, found in chosen.items()}
+    chosen["sensor"].sort(key=lambda name: name != "euler")  # others read it
+    return [f"{group}=[{','.join(found)}]" for group, found in chosen.items()]
+
+
 @pytest.fixture(scope="module")
 def flight(make_env):
     """All tensors there are in the middle of a step, of six environments in flight."""
-    first = ["euler", "limit_violations"]  # the second reads the first
-    sensors = f"sensor=[{','.join(first + [n for n in names('sensor') if n not in first])}]"
-    terminations = f"termination=[{','.join(names('termination'))}]"
-    metrics = f"metric=[{','.join(names('metric'))}]"
-    rewards = f"reward=[{','.join(n for n in names('reward') if not is_set('reward', n))}]"
-    env = make_env(
-        f"num_envs={COUNT}",
-        sensors,
-        terminations,
-        rewards,
-        metrics,
-        "randomization=[mass,inertia,action_delay]",
-    )
+    env = make_env(f"num_envs={COUNT}", *every_list())
     generator = torch.Generator().manual_seed(0)
     env.restart(torch.arange(COUNT))
     for _ in range(3):
@@ -221,6 +223,82 @@ def test_one_environment_alone_gives_what_it_gives_among_others(parts, flight, g
         among, alone = run(term, flight), run(term, flight, rows=torch.tensor([2]))
         for key, value in among.items():
             assert_close(alone[key], value[2:3], atol=1e-6, rtol=1e-6)
+
+
+FLYING = ["obstacle_observation", "task", "action", "rate_loop", "dynamics", "vehicle"]
+ENVIRONMENTS = [
+    pytest.param(every_list(), id="every part of every list"),
+    *(pytest.param([f"{g}={n}"], id=f"{g}/{n}") for g in FLYING for n in names(g)),
+    *(pytest.param([f"{g}={n}"], id=f"{g}/{n}") for g in LISTS for n in names(g) if is_set(g, n)),
+]
+
+
+@pytest.fixture(scope="module")
+def flown(make_env):
+    """`flown(overrides)`: an environment of three, two steps into flight."""
+
+    def fly(overrides):
+        fast = [] if "obstacle_observation" in overrides[0] else ["obstacle_observation=none"]
+        env = make_env("num_envs=3", *fast, *overrides, seed=5, scenes=4)
+        generator = torch.Generator().manual_seed(0)
+        env.restart(torch.arange(3))
+        for _ in range(2):
+            env.advance(torch.rand(3, 4, generator=generator) - 0.5)
+        return env
+
+    return fly
+
+
+def leaves(env):
+    """All that the environments are, and what is seen of them."""
+    world = env.world.clone()
+    seen = {("observation",): env.observation.clone()}
+    return seen | {key: world[key] for key in world.keys(include_nested=True, leaves_only=True)}
+
+
+@pytest.mark.parametrize("overrides", ENVIRONMENTS)
+def test_the_same_seed_flies_the_same_bits_and_a_restart_touches_its_row_only(flown, overrides):
+    env, same = flown(overrides), leaves(flown(overrides))
+    before = leaves(env)
+    env.restart(torch.tensor([1]))
+    after = leaves(env)
+    for key, value in before.items():
+        assert torch.equal(value, same[key]), key
+        assert torch.equal(value[[0, 2]], after[key][[0, 2]]), key
+    assert after["clock", "step"][:, 0].tolist() == [2, 0, 2]
+
+
+@pytest.mark.parametrize("name", names("search"))
+def test_a_search_lays_finite_control_points(compose, name):
+    config = compose(f"search={name}", "scene=random_boxes")
+    layout = build(config["scene"], "scene").sample(1, torch.Generator().manual_seed(0))
+    planner = planner_for(config)
+    planned, again = planner(layout), planner(layout)
+    assert planned.route_w.isfinite().all()
+    assert torch.equal(planned.route_w, again.route_w)
+    last = planned.route_w[0, int(planned.route_length) - 1]
+    assert_close(last[:2], layout.route_w[0, -1, :2], atol=0.2, rtol=0)
+
+
+@pytest.mark.parametrize("name", names("model"))
+def test_a_model_gives_finite_actions_to_any_number_of_environments(load_part, name):
+    node = load_part("model", name)
+    networks, same = (
+        build(node, "model", observation_width=25, action_width=4, seed=3) for _ in range(2)
+    )
+    observation = torch.rand(COUNT, 25, generator=torch.Generator().manual_seed(0))
+    among, again = (n.head(observation)[0] for n in (networks, same))
+    assert among.shape == (COUNT, 4)
+    assert among.isfinite().all()
+    assert torch.equal(among, again)
+    assert_close(networks.head(observation[2:3])[0], among[2:3])
+
+
+@pytest.mark.parametrize("name", names("logger"))
+def test_a_logger_takes_figures(load_part, tmp_path, name):
+    logger = build(load_part("logger", name), "logger", folder=tmp_path)
+    logger.log({"episode/return": 1.0}, 1000)
+    logger.close()
 
 
 @pytest.mark.parametrize("name", names("vehicle"))
