@@ -23,3 +23,7 @@ class CheckpointError(RescError):
 
 class NumericalError(RescError):
     """A value that is not finite where only finite ones make sense."""
+
+
+class SweepError(RescError):
+    """A sweep that ended with runs that failed or are not finished."""

@@ -16,22 +16,52 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from resc.build import nearest
+from resc.build import load_config, nearest
+from resc.errors import ConfigError, RescError
 
 CONF = Path(__file__).parents[1] / "conf"
 LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric")
 """Groups of which a configuration takes several files."""
+SWEEP = "multirun.yaml"
+"""What Hydra leaves in the folder of a sweep."""
+MULTIRUN = ("-m", "--multirun")
+MODE = ("hydra.mode", "hydra.sweep.dir")
 
 
 def launch(main: Callable[[], None], config_name: str) -> None:
-    """Runs a `hydra.main` function; what Hydra refuses ends it with one sentence and status 1."""
+    """Runs a `hydra.main` function; what Hydra refuses ends it with one sentence and status 1.
+
+    `resume=` with the folder of a sweep becomes the command that began it.
+    """
     os.environ.setdefault(
         "HYDRA_FULL_ERROR", "1"
     )  # Hydra then raises instead of printing and exiting
     try:
+        sys.argv[1:] = resumed_sweep(sys.argv[1:])
         main()
     except HydraException as error:
         sys.exit(f"error: {explain(error, config_name)}")
+    except RescError as error:
+        sys.exit(f"error: {error}")
+
+
+def resumed_sweep(arguments: list[str]) -> list[str]:
+    """The arguments, or those of the sweep whose folder `resume=` names, into the same folder.
+
+    Other arguments given with `resume=` come last: launcher=joblib.
+    """
+    chosen = [text for text in arguments if text.startswith("resume=")]
+    folder = Path(chosen[-1].removeprefix("resume=")).resolve() if chosen else None
+    if folder is None or not (folder / SWEEP).exists():
+        return arguments
+    hydra = load_config(folder / SWEEP).get("hydra")
+    if hydra is None or "overrides" not in hydra:
+        raise ConfigError(f"{folder / SWEEP} is no sweep's; start a new sweep.")
+    given = [text for text in arguments if text not in chosen and text not in MULTIRUN]
+    keys = {text.partition("=")[0] for text in given}
+    stored = [*hydra["overrides"]["hydra"], *hydra["overrides"]["task"]]
+    kept = [text for text in stored if text.partition("=")[0] not in {*keys, *MODE}]
+    return ["-m", *kept, *given, f"hydra.sweep.dir='{folder}'"]
 
 
 def refuse_doubles() -> None:

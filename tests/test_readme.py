@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-NO_PARTS = {"env", "experiment"}
+NO_PARTS = {"env", "experiment", "hydra"}
 
 
 def test_table_of_parts_lists_every_file_of_conf():

@@ -7,6 +7,7 @@ from omegaconf import DictConfig, open_dict
 from resc.build import build, build_env, build_pool, build_terms, load_config
 from resc.errors import ConfigError
 from resc.evaluation.flights import Flights, fly
+from resc.evaluation.held_out import EPISODES, held_out_rules, tabulate_episodes, write_episodes
 from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint, load_policy
 from resc.learning.ppo import Ppo
 from resc.planning.route import planner_for
@@ -89,11 +90,16 @@ def restore(trainer: Ppo, folder: Path, config: DictConfig) -> None:
 
 
 def fly_held_out(config: DictConfig, folder: Path) -> Flights:
-    """The policy's mean action over fixed episodes of the training law, on unseen scenes."""
-    episodes, seed = config["evaluation_episodes"], config["evaluation_seed"]
+    """The policy's mean action over fixed episodes of the training law, on unseen scenes.
+
+    Groups under `held_out` replace training's. The episodes are also left in evaluation.csv.
+    """
+    rules = held_out_rules(config)
+    episodes, seed = rules["evaluation_episodes"], rules["evaluation_seed"]
     pool = build_pool(
-        config, size=episodes, seed=seed, device=config["device"], plan=planner_for(config)
+        rules, size=episodes, seed=seed, device=rules["device"], plan=planner_for(rules)
     )
-    ours = {str(key): value for key, value in config.items()} | {"num_envs": episodes}
-    env = build_env(ours, pool, seed=seed, in_order=True)
-    return fly(env, load_policy(folder, config["device"]), trace=False)
+    env = build_env(rules | {"num_envs": episodes}, pool, seed=seed, in_order=True)
+    flights = fly(env, load_policy(folder, rules["device"]), trace=False)
+    write_episodes(folder / EPISODES, tabulate_episodes(flights, pool))
+    return flights

@@ -1,0 +1,31 @@
+"""Stands in for train.py: writes in a moment what a run leaves, or fails, or waits to be stopped."""
+
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+
+arguments = dict(text.partition("=")[::2] for text in sys.argv[1:])
+folder = Path(arguments["hydra.run.dir"].strip("'"))
+with (folder / "starts.txt").open("a") as file:
+    file.write("resumed\n" if "resume" in arguments else "fresh\n")
+
+
+def stop(*_):
+    for name in ("checkpoint.pt", "config.yaml"):
+        (folder / name).touch()
+    sys.exit("Stopped after 100 frames. Go on with: python train.py resume=there")
+
+
+signal.signal(signal.SIGTERM, stop)
+print("a table of terms")
+if arguments.get("weight") == "high":
+    sys.exit("error: reward.progress.weight is 'high'; expected a number.")
+if arguments.get("killed"):
+    signal.raise_signal(signal.SIGKILL)
+(folder / "ready").touch()
+while arguments.get("wait") and "resume" not in arguments:
+    time.sleep(0.02)
+(folder / "evaluation.csv").touch()
+(folder / "summary.json").write_text(json.dumps({"episodes": 8, "success_rate": 0.5}))
