@@ -63,6 +63,7 @@ class DepthScan(MapObservation):
             raise ConfigError(f"noise_per_m is {noise_per_m}; expected zero or more.")
         if not 0 <= dropout <= 1:
             raise ConfigError(f"dropout is {dropout}; expected a share from 0 to 1.")
+        self.field_of_view_rad = field_of_view_rad
         self.nearest_m, self.range_m = nearest_m, range_m
         self.noise_per_m, self.dropout = noise_per_m, dropout
         self.columns = tuple(f"beam_{number}" for number in range(beams))
