@@ -14,7 +14,17 @@ from torch.testing import assert_close
 
 from resc import term as kinds
 from resc.build import build, build_terms
-from resc.keys import ACTION, DECLARED, DONE, TERMINATED, TRUNCATED
+from resc.keys import (
+    ACTION,
+    CURRICULUM_DIFFICULTY,
+    DECLARED,
+    DONE,
+    EPISODE_DIFFICULTY,
+    EPISODE_SUCCESS,
+    TERMINATED,
+    TRAINED_FRAMES,
+    TRUNCATED,
+)
 from resc.planning.route import planner_for
 from resc.simulation.rate_loop import RateLoop
 from resc.simulation.rigid_body import RigidBody
@@ -322,6 +332,27 @@ def test_vehicle_rate_loop_and_dynamics_combine(make_env, vehicle, rate_loop, dy
         out = env.advance(torch.zeros(2, 4))
     assert out.observation.isfinite().all()
     assert env.value_of(("state", "acceleration_w")).norm(dim=-1).max() < 12
+
+
+@pytest.mark.parametrize("name", names("curriculum"))
+def test_a_curriculum_gives_difficulties_between_zero_and_one(load_part, name):
+    for term in build_terms(load_part("curriculum", name), "curriculum", kinds.Curriculum):
+        assert type(term).__doc__
+        assert all(0 <= level <= 1 for level in term.levels)
+        assert list(term.levels) == sorted(set(term.levels))
+        before = {key: torch.full((1, 1), value) for key, value in term.initial.items()}
+        assert set(before) == set(term.outputs)
+        for frames in (0, 1_000_000, 100_000_000):
+            flown = {EPISODE_DIFFICULTY: torch.ones(3, 1), EPISODE_SUCCESS: torch.ones(3, 1).bool()}
+            tensors = {**before, **flown, TRAINED_FRAMES: torch.full((1, 1), float(frames))}
+            again = dict(tensors)
+            term.run(tensors)
+            term.run(again)
+            for key, value in tensors.items():
+                assert torch.equal(value, again[key]), key
+                assert key in before or key in (*flown, TRAINED_FRAMES)
+            assert tensors[CURRICULUM_DIFFICULTY].shape == (1, 1)
+            assert 0 <= float(tensors[CURRICULUM_DIFFICULTY]) <= 1
 
 
 @pytest.mark.parametrize("name", names("scene"))

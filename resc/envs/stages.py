@@ -91,14 +91,14 @@ class Stages(nn.Module):
         ConfigError: A term reads a key that nothing before it writes.
     """
 
-    def __init__(
-        self, terms: Terms, context: Context, scene_difficulty: str | None = None
-    ) -> None:
+    def __init__(self, terms: Terms, context: Context, scene_difficulty: str | None = None) -> None:
         super().__init__()
         self.terms = terms
         self.scene_difficulty = scene_difficulty
-        eased = (scene_difficulty, *(term.difficulty for term in terms))
-        self.difficulties = tuple(dict.fromkeys(name for name in eased if name))
+        readers = {"scene": scene_difficulty}
+        readers |= {f"{term.group or 'task'}.{term.name}": term.difficulty for term in terms}
+        self.eased = {path: name for path, name in readers.items() if name}
+        self.difficulties = tuple(dict.fromkeys(self.eased.values()))
         self.modules_of_terms = nn.ModuleList(
             list(terms)
         )  # so that .to(device) reaches their buffers

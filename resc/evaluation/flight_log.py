@@ -78,6 +78,7 @@ class FlightLog:
             "end_step": torch.full_like(rows, last),
             "length": torch.full_like(rows, last + 1),
             "return_": self.returns[rows],
+            "difficulty": torch.ones(len(rows)),
             "outcome": outcome[rows],
             "scene": self.scene[rows],
         }

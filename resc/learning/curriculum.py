@@ -99,9 +99,7 @@ class Curricula:
 
 def _check_difficulties(written: Sequence[str], stages: Stages) -> None:
     """What is written must be read, and what is read, written."""
-    readers = {f"{term.group or 'task'}.{term.name}": term.difficulty for term in stages.terms}
-    readers |= {"scene": stages.scene_difficulty}
-    read = {name: path for path, name in readers.items() if name}
+    read = stages.difficulties
     for name in written:
         if name not in read:
             raise ConfigError(
@@ -109,7 +107,7 @@ def _check_difficulties(written: Sequence[str], stages: Stages) -> None:
                 f"(~curriculum.{name}) or name it where it should act, e.g. "
                 f"scene.difficulty={name}.{nearest(name, read)}"
             )
-    for name, path in read.items():
+    for path, name in stages.eased.items():
         if name not in written:
             raise ConfigError(
                 f"{path}.difficulty is '{name}', which no curriculum writes; add curriculum.{name} "

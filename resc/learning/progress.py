@@ -2,14 +2,21 @@
 
 import csv
 from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
+from statistics import mean
 
 import matplotlib as mpl
+from matplotlib import colormaps
+from matplotlib.axes import Axes
 
 from resc.envs.stages import Stages
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
+
+STYLES = ("solid", "dashed", "dotted")
+"""Of the lines of several difficulties."""
 
 
 class CsvLogger:
@@ -82,9 +89,9 @@ def describe(stages: Stages) -> str:
     lines = ["observation            columns"]
     first = 0
     for term in stages.terms.observations:
-        lines.append(
-            f"  {term.name:<20} {first:>3}-{first + term.width - 1:<3} {', '.join(term.columns)}"
-        )
+        steps = f" x {term.history} steps" if term.width > len(term.columns) else ""
+        columns = f"{', '.join(term.columns)}{steps}"
+        lines.append(f"  {term.name:<20} {first:>3}-{first + term.width - 1:<3} {columns}")
         first += term.width
     lines.append("reward                 weight")
     for term in stages.terms.rewards:
@@ -98,13 +105,24 @@ def describe(stages: Stages) -> str:
         lines += [
             f"  {term.name:<20} {_first_sentence(term)}" for term in stages.terms.randomizations
         ]
+    if stages.eased:
+        lines.append("difficulty             eases")
+    for name in stages.difficulties:
+        paths = [path for path, eased_by in stages.eased.items() if eased_by == name]
+        lines.append(f"  {name:<20} {', '.join(paths)}")
     return "\n".join(lines)
 
 
 def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
-    """Success, return and speed against frames, as one picture."""
+    """Outcomes, return and reward terms against frames, as one picture.
+
+    With a curriculum, difficulty against frames and success against difficulty, too.
+    """
     frames = [row["frames"] / 1e6 for row in rows]
-    figure, (rates, returns, terms) = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+    eased = [name.removeprefix("difficulty/") for name in rows[-1] if "difficulty/" in name]
+    count = 5 if eased else 3
+    figure, panels = plt.subplots(1, count, figsize=(13 / 3 * count, 3.6), layout="constrained")
+    rates, returns, terms = panels[:3]
     for name in (n for n in rows[-1] if n.startswith("outcome/")):
         rates.plot(frames, [row.get(name, float("nan")) for row in rows], label=name.split("/")[1])
     rates.set(
@@ -117,11 +135,44 @@ def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
         terms.plot(frames, [row.get(name, float("nan")) for row in rows], label=name.split("/")[1])
     terms.set(xlabel="frames [M]", title="reward terms per step", yscale="symlog")
     terms.legend(frameon=False, fontsize=8)
-    for axes in (rates, returns, terms):
+    if eased:
+        _draw_difficulty(panels[3], frames, rows, eased)
+        _draw_success_by_difficulty(panels[4], rows, eased)
+    for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.2)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def _draw_difficulty(
+    axes: Axes, frames: list[float], rows: list[dict[str, float]], names: list[str]
+) -> None:
+    """Each difficulty against frames."""
+    for name, style in zip(names, cycle(STYLES)):
+        values = [row.get(f"difficulty/{name}", float("nan")) for row in rows]
+        axes.plot(frames, values, label=name, linestyle=style)
+    axes.set(xlabel="frames [M]", ylabel="difficulty", ylim=(-0.02, 1.02), title="curriculum")
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _draw_success_by_difficulty(axes: Axes, rows: list[dict[str, float]], names: list[str]) -> None:
+    """Mean success in each bin of difficulty, apart for each third of the training."""
+    third = -(-len(rows) // 3)
+    for part in range(0, len(rows), third):
+        some = rows[part : part + third]
+        for name, style in zip(names, cycle(STYLES)):
+            prefix = f"success_by_{name}/"
+            bins = sorted({key for row in some for key in row if key.startswith(prefix)})
+            centres = [sum(map(float, key.removeprefix(prefix).split("-"))) / 2 for key in bins]
+            shares = [mean(row[key] for row in some if key in row) for key in bins]
+            span = f"{some[0]['frames'] / 1e6:.2g} to {some[-1]['frames'] / 1e6:.2g} M"
+            colour = colormaps["viridis"](part / max(len(rows), 1))
+            label = f"{name}, {span}"
+            axes.plot(centres, shares, marker="o", linestyle=style, color=colour, label=label)
+    axes.set(xlabel="difficulty", ylabel="share that succeeds", xlim=(0, 1), ylim=(-0.02, 1.02))
+    axes.set(title="success against difficulty")
+    axes.legend(frameon=False, fontsize=8)
 
 
 def _first_sentence(term: object) -> str:

@@ -160,6 +160,7 @@ class EpisodeStatistics:
                     "return_": returns,
                     "outcome": codes,
                     "scene": self.scene[rows, 0],
+                    "difficulty": levels.mean(-1) if self.names else torch.ones(len(rows)),
                     "difficulties": TensorDict(flown_at, batch_size=[len(rows)]),
                 },
                 batch_size=[len(rows)],

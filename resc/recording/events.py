@@ -13,6 +13,7 @@ from resc.recording.schema import EPISODE_KEYS, EPISODES, WORLD, WORLD_FIELDS, n
 from resc.recording.wire import delimited, fixed_fields, read_varint
 
 _OUTCOME = len(EPISODE_KEYS)
+FLOATS = ("return_", "difficulty")
 _ARRAYS, _NAME, _SHAPE = 2, 1, 2
 _VALUES = {dtype: number for number, dtype in enumerate(WORLD_FIELDS, 3)}
 
@@ -23,7 +24,7 @@ def encode_episodes(
     """(log time, environment, `resc.Episode`) of each entry; its time is that of its last step."""
     for name, numbers in values.items():
         limit = len(outcomes) if name == "outcome" else 2**32
-        if name != "return_" and (numbers.min() < 0 or numbers.max() >= limit):
+        if name not in FLOATS and (numbers.min() < 0 or numbers.max() >= limit):
             raise RecordingError(
                 f"The '{name}' of an episode lies in [{numbers.min()}, {numbers.max()}]; expected "
                 f"0 to {limit - 1} (outcome counts the names that the recorder got as 'outcomes')."

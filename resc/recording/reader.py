@@ -104,7 +104,7 @@ class RolloutLog:
         """Finished episodes `[E]`, in the order recorded; reads no rollout chunk.
 
         int64 `env_id`, `episode`, `start_step`, `end_step` (inclusive), `length`, `scene` and
-        `outcome` (an index into `outcomes`); float32 `return_`; bool `success`.
+        `outcome` (an index into `outcomes`); float32 `return_` and `difficulty`; bool `success`.
         """
         messages = list(chain.from_iterable(_messages(s, EPISODES) for s in self._sources))
         arrays, names = events.decode_episodes(messages)

@@ -44,6 +44,7 @@ FIELDS: dict[str, dict[str, int]] = {
         "length": _Field.TYPE_FIXED32,
         "scene": _Field.TYPE_FIXED32,
         "return_": _Field.TYPE_FLOAT,
+        "difficulty": _Field.TYPE_FLOAT,
         "success": _Field.TYPE_BOOL,
         "outcome": _Field.TYPE_STRING,
     },

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 from resc.errors import ConfigError, RecordingError
 from resc.recording.schema import DTYPE_NAMES, Column, column_tree
 
-FORMAT = "1"
+FORMAT = "2"
 """Version of the file layout; a reader refuses any other."""
 
 

@@ -120,8 +120,8 @@ class RolloutRecorder:
         """Record a batch `[T, N]` whose first row is step `start_step` of every environment.
 
         `episodes` `[E]` lists those that ended within the batch: `env_id`, `episode`, `start_step`,
-        `end_step` (inclusive), `length`, `return_`, `success`, `scene`, and `outcome` as an index
-        into `outcomes`.
+        `end_step` (inclusive), `length`, `return_`, `difficulty`, `success`, `scene`, and
+        `outcome` as an index into `outcomes`.
         """
         self._check_open()
         rollout = column_leaves(batch, self._specification)

@@ -1,4 +1,4 @@
-"""What test_compiled.py runs in a process of its own: `graph` or `compare`.
+"""What test_compiled.py runs in a process of its own: `graph`, `difficulty` or `compare`.
 
 torch.compile cannot trace the wrappers of the tests' type checker, and an imported module cannot
 get rid of them.
@@ -37,6 +37,20 @@ def graph():
     same("observation", traced[1].observation, plain[1].observation)
 
 
+def difficulty():
+    """Traces the reset once: an error if another difficulty wants another trace."""
+    torch._dynamo.config.error_on_recompile = True
+    env = make_env(compiled=False)
+    env._restart_function = torch.compile(
+        env._restart_rows, fullgraph=True, dynamic=False, backend="eager"
+    )
+    for value in (1.0, 0.5, 0.0):
+        env.set_difficulty("initial_state", value)
+        env.restart(torch.arange(ROWS))
+        assert (env.value_of(("difficulty", "initial_state")) == value).all()
+    assert (env.value_of(("state", "velocity_w")) == 0).all()
+
+
 def compare():
     """Flies the compiled and the uncompiled environment, each step from the same world."""
     eager, compiled = make_env(compiled=False), make_env(compiled=True)
@@ -65,4 +79,4 @@ def same(name, ours, theirs):
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    {"graph": graph, "compare": compare}[sys.argv[1]]()
+    {"graph": graph, "difficulty": difficulty, "compare": compare}[sys.argv[1]]()

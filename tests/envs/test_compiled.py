@@ -21,6 +21,10 @@ def test_the_step_is_one_graph():
     run("graph")
 
 
+def test_another_difficulty_needs_no_other_graph():
+    run("difficulty")
+
+
 @pytest.mark.slow  # some 45 s for the compiler, once; 15 s from its cache
 def test_the_compiled_environment_agrees_with_the_uncompiled_one_and_with_its_specs():
     run("compare")

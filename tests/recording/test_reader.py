@@ -68,6 +68,7 @@ def finished(whole, lower, upper):
     columns = list(zip(*entries, strict=True)) or [()] * 9
     data = {n: torch.tensor(v, dtype=torch.int64) for n, v in zip(names, columns[:7], strict=True)}
     data["return_"] = torch.tensor(columns[7], dtype=torch.float32)
+    data["difficulty"] = torch.tensor(columns[3], dtype=torch.float32) / 128  # of its last step
     data["success"] = torch.tensor(columns[8], dtype=torch.bool)
     return TensorDict(data, [len(entries)])
 

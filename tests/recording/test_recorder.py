@@ -54,7 +54,8 @@ def put_and_fail(target, count, num_envs=4):
 
 def episodes(count, **values):
     data = {name: torch.zeros(count, dtype=torch.int64) for name in EPISODE_NAMES}
-    data |= {"return_": torch.zeros(count), "success": torch.zeros(count, dtype=torch.bool)}
+    data |= {"return_": torch.zeros(count), "difficulty": torch.ones(count)}
+    data |= {"success": torch.zeros(count, dtype=torch.bool)}
     return TensorDict(data | values, [count])
 
 

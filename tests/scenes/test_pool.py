@@ -5,7 +5,8 @@ from resc import keys
 from resc.build import build, build_pool
 from resc.errors import ConfigError
 from resc.maps.distance_transform import distance_transform
-from resc.scenes.layout import Layout, rasterize
+from resc.math.sampling import generator_for
+from resc.scenes.layout import PARKED_M, Layout, rasterize
 from resc.scenes.pool import ScenePool
 
 
@@ -148,3 +149,68 @@ def test_routes_of_renewed_scenes_are_padded_and_those_without_room_left_out(com
     assert pool.renew(1).tolist() == [2]
     assert pool.tasks[keys.ROUTE_LENGTH][:, 0].tolist() == [1, 1, 2, 2]
     assert pool.tasks[keys.ROUTE_W].shape == (4, 2, 3)
+
+
+def layered(compose, *overrides, levels=(0.0, 0.5, 1.0), size=12):
+    config = compose(*overrides)
+    scene = build(config.scene, "scene")
+    generator = generator_for(3, "scene_layout")
+    return ScenePool(scene, size=size, resolution_m=0.1, generator=generator, levels=levels)
+
+
+def number_of_boxes(pool):
+    return (pool.shared[keys.BOXES_W][..., 0] < PARKED_M).sum(1)
+
+
+def test_full_difficulty_lays_out_the_scenes_there_are_without_any(compose, pool):
+    full = layered(compose, levels=(1.0,))
+    mixed = layered(compose, levels=(0.0, 1.0))
+    for key, value in pool.shared.items():
+        assert torch.equal(full.shared[key], value), key
+        assert torch.equal(mixed.shared[key][1::2], value[1::2]), key
+    for key, value in pool.tasks.items():
+        assert torch.equal(full.tasks[key], value), key
+
+
+def test_entries_take_the_levels_by_turns_and_keep_them_when_renewed(compose):
+    pool = layered(compose)
+    expected = torch.tensor([0.0, 0.5, 1.0] * 4).unsqueeze(-1)
+    assert torch.equal(pool.tasks[keys.SCENE_DIFFICULTY], expected)
+    for _ in range(5):
+        pool.renew(5)
+        assert torch.equal(pool.tasks[keys.SCENE_DIFFICULTY], expected)
+        assert (number_of_boxes(pool)[0::3] == 0).all()
+        assert (number_of_boxes(pool)[2::3] > 0).any()
+        assert (pool.shared[keys.ESDF][0::3] == 3.0).all()
+
+
+@pytest.mark.parametrize(("difficulty", "entries"), [(0.0, {0, 3, 6, 9}), (1.0, {2, 5, 8, 11})])
+def test_at_a_level_only_its_open_scenes_are_drawn(compose, difficulty, entries):
+    pool = layered(compose)
+    unit = torch.linspace(0, 1 - 2**-24, 500)
+    assert set(pool.entry(unit, 0, difficulty).tolist()) == entries
+    pool.renew(4)  # closes 4 to 7
+    assert set(pool.entry(unit, 4, difficulty).tolist()) == entries - {4, 5, 6, 7}
+
+
+def test_between_levels_the_mean_difficulty_is_the_wanted_one(compose):
+    pool = layered(compose)
+    unit = torch.linspace(0, 1 - 2**-24, 2001)
+    for difficulty in (0.1, 0.25, 0.9):
+        entries = pool.entry(unit, 0, difficulty)
+        flown = pool.tasks[keys.SCENE_DIFFICULTY][entries]
+        assert flown.mean().item() == pytest.approx(difficulty, abs=1e-3)
+        assert len(set(entries.tolist())) == 8  # two levels, all scenes of each
+
+
+def test_a_difficulty_beyond_the_levels_is_that_of_the_nearest(compose):
+    pool = layered(compose, levels=(0.5, 1.0))
+    unit = torch.linspace(0, 1 - 2**-24, 100)
+    assert (pool.tasks[keys.SCENE_DIFFICULTY][pool.entry(unit, 0, 0.1)] == 0.5).all()
+
+
+def test_levels_without_an_open_scene_are_refused(compose):
+    with pytest.raises(ConfigError, match="pool_size is 2, fewer than the 3 levels"):
+        layered(compose, size=2)
+    with pytest.raises(ConfigError, match="leave 5 open: raise pool_size or lower renew_scenes"):
+        layered(compose).entry(torch.zeros(1), closed=8)

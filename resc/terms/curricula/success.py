@@ -63,7 +63,7 @@ class Success(Curriculum):
         self.episodes = episodes
         self.raise_above = raise_above
         self.lower_below = lower_below
-        self.step = 1 / (levels - 1)
+        self.steps = levels - 1
         self.initial = {keys.CURRICULUM_DIFFICULTY: first, EPISODES: 0.0, SUCCESSES: 0.0}
 
     def compute(
@@ -80,5 +80,6 @@ class Success(Curriculum):
         decided = episodes >= self.episodes
         rate = successes / episodes.clamp(min=1)
         change = (rate > self.raise_above).float() - (rate < self.lower_below).float()
-        moved = (difficulty + decided * change * self.step).clamp(0, 1)
+        level = (difficulty * self.steps).round() + decided * change
+        moved = level.clamp(0, self.steps) / self.steps
         return moved, torch.where(decided, 0.0, episodes), torch.where(decided, 0.0, successes)
