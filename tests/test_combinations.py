@@ -1,0 +1,95 @@
+"""Every preset of observation, reward, curriculum and scene flies with every other.
+
+Each combination builds, flies 50 steps with resets, and keeps its declared specs, for 1, 2, 3 and
+64 environments. By default every preset and every number of environments is met at least once; the
+whole product is slow.
+"""
+
+import functools
+import itertools
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from resc.build import build_env, build_pool, build_terms
+from resc.planning.route import planner_for
+from resc.term import Curriculum
+
+CONF = Path(__file__).parents[1] / "conf"
+STEPS = 50
+COUNTS = (1, 2, 3, 64)
+
+
+def names(group):
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+OBSERVATIONS = [f"obstacle_observation={name}" for name in names("obstacle_observation")]
+REWARDS = [None] + [
+    f"reward={name}"
+    for name in names("reward")
+    if "defaults" in OmegaConf.load(CONF / "reward" / f"{name}.yaml")
+]
+"""The default list, and the files that are lists of others."""
+CURRICULA = [f"curriculum={name}" for name in names("curriculum")]
+SCENES = [f"scene={name}" for name in names("scene")]
+GROUPS = (OBSERVATIONS, REWARDS, CURRICULA, SCENES)
+PRODUCT = list(itertools.product(*GROUPS))
+COVER = [
+    (tuple(group[row % len(group)] for group in GROUPS), COUNTS[row % len(COUNTS)])
+    for row in range(max(map(len, GROUPS)))
+]
+
+
+@pytest.fixture(scope="module")
+def flown(compose):
+    """`flown(combination, num_envs)`: flies it, checking every step against the specs."""
+
+    @functools.lru_cache(maxsize=2)  # the product walks through observations and rewards first
+    def scenes(*overrides):
+        config = compose(*overrides)
+        curricula = build_terms(config["curriculum"], "curriculum", Curriculum)
+        return build_pool(config, size=8, seed=0, plan=planner_for(config), curricula=curricula)
+
+    def fly(combination, num_envs):
+        overrides = [override for override in combination if override]
+        config = compose(*overrides, f"num_envs={num_envs}")
+        env = build_env(config, scenes(*combination[2:]))
+        generator = torch.Generator().manual_seed(0)
+        everyone = torch.arange(num_envs)
+        assert env.observation_spec["observation"].is_in(env.restart(everyone))
+        for step in range(STEPS):
+            out = env.advance(1.8 * torch.rand(num_envs, 4, generator=generator) - 0.9)
+            assert env.observation_spec["observation"].is_in(out.observation)
+            assert env.observation_spec["outcome"].is_in(out.outcome)
+            assert env.reward_spec.is_in(out.reward)
+            for name in ("done", "terminated", "truncated"):
+                assert env.full_done_spec[name].is_in(getattr(out, name))
+            assert out.observation.isfinite().all()
+            assert out.reward.isfinite().all()
+            out.done[::2] |= step == STEPS // 2  # so that resets are met where no episode ends
+            seen = env.restart(out.done[:, 0].nonzero()[:, 0])
+            assert env.observation_spec["observation"].is_in(seen)
+            assert seen.isfinite().all()
+
+    return fly
+
+
+def identifier(combination):
+    return "-".join(override.split("=")[1] if override else "default" for override in combination)
+
+
+@pytest.mark.parametrize(
+    ("combination", "num_envs"), [pytest.param(c, n, id=f"{identifier(c)}-{n}") for c, n in COVER]
+)
+def test_every_preset_flies_and_keeps_its_specs(flown, combination, num_envs):
+    flown(combination, num_envs)
+
+
+@pytest.mark.slow  # some 3000 flights
+@pytest.mark.parametrize("combination", sorted(PRODUCT, key=lambda c: c[2:]), ids=identifier)
+def test_every_combination_flies_and_keeps_its_specs(flown, combination):
+    for num_envs in COUNTS:
+        flown(combination, num_envs)
