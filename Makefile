@@ -5,6 +5,8 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 PYTHON ?= python3.13 python3.12 python3.11 python3
 ARGS ?=
+# All but ray, which is large.
+EXTRAS := dev benchmark joblib optuna slurm
 
 .PHONY: demo train test check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
@@ -35,7 +37,7 @@ format: $(STAMP) ## Format the code.
 
 lock: ## Write requirements.lock anew from pyproject.toml (needs uv).
 	@command -v uv >/dev/null || { echo "make lock needs uv on PATH; install it with: pip install uv" >&2; exit 1; }
-	uv pip compile --quiet --universal --python-version 3.11 --all-extras --generate-hashes \
+	uv pip compile --quiet --universal --python-version 3.11 $(EXTRAS:%=--extra %) --generate-hashes \
 		--no-emit-index-url --no-emit-find-links --no-header $(ARGS) --output-file requirements.lock pyproject.toml
 
 clean: ## Remove caches and build products; .venv, runs and policies stay.

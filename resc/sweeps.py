@@ -247,7 +247,7 @@ class Slurm:
 
 
 class Ray:
-    """Every run a task of a Ray cluster whose nodes share this file system.
+    """Every run a task of a Ray cluster whose nodes share this file system and environment.
 
     Args:
         address: Of the cluster; null starts one on this machine and stops it at the end.
@@ -267,7 +267,7 @@ class Ray:
             address=self.address or "local",
             num_cpus=None if self.address else self.cluster_cpus,
             log_to_driver=False,
-            runtime_env={"env_vars": {"PYTHONPATH": str(SCRIPT.parent)}},
+            include_dashboard=False,
         )
         try:
             remote = ray.remote(num_cpus=self.num_cpus, max_retries=0)(run_alone)
