@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # when started as a file
 import torch._dynamo.config
 
 from benchmarks.measure import (
+    BUSY_BELOW,
     FULL,
     QUICK,
     ROOT,
@@ -52,8 +53,8 @@ def modules() -> list[str]:
     return [NONE, PUBLISHED, *(name for name in found if name not in (NONE, PUBLISHED))]
 
 
-def measure(args: argparse.Namespace, effort: Effort) -> dict[str, Cost]:
-    """The cost of every module, measured in turns."""
+def measure(args: argparse.Namespace, effort: Effort) -> tuple[dict[str, Cost], float]:
+    """The cost of every module, measured in turns, and the share of its threads it was given."""
     names = modules()
     # Each environment compiles the same two functions anew; torch allows 8 versions of one.
     torch._dynamo.config.recompile_limit = 4 * len(names)
@@ -69,18 +70,21 @@ def measure(args: argparse.Namespace, effort: Effort) -> dict[str, Cost]:
         print(f"{name}: compiled", file=sys.stderr, flush=True)
     steps = max(1, round(effort.block_s / _seconds(flights[PUBLISHED], 10) * 10))
     blocks: dict[str, list[float]] = {name: [] for name in names}
+    began, cpu_began = time.perf_counter(), time.process_time()
     for _ in range(effort.repeats):
         for name, flight in flights.items():
             blocks[name].append(_seconds(flight, steps) / (steps * args.envs) * 1e6)
+    share = (time.process_time() - cpu_began) / (time.perf_counter() - began) / args.threads
     step_us = {name: statistics.median(values) for name, values in blocks.items()}
     without = flights[NONE].env.observation_width
     return {
         name: Cost(
-            flights[name].env.observation_width - without, step_us[name], step_us[name] - base
+            flights[name].env.observation_width - without,
+            step_us[name],
+            step_us[name] - step_us[NONE],
         )
-        for base in (step_us[NONE],)
         for name in names
-    }
+    }, share
 
 
 def _seconds(flight: Flight, steps: int) -> float:
@@ -126,9 +130,11 @@ def main() -> None:
     args = parser.parse_args()
     prepare_process(args.threads, args.device)
     facts = machine(args.device, args.threads)
-    costs = measure(args, QUICK if args.quick else FULL)
+    costs, share = measure(args, QUICK if args.quick else FULL)
     print(sentence(facts), table(costs), sep="\n\n")
-    write_json(args.json, {**figures(costs), **facts, "envs": args.envs})
+    if share < BUSY_BELOW and args.device == "cpu":
+        print(f"\nGot {share:.0%} of its threads: of the figures only the ratios count.")
+    write_json(args.json, {**figures(costs), **facts, "envs": args.envs, "cpu_share": share})
 
 
 if __name__ == "__main__":
