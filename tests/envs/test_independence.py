@@ -110,6 +110,7 @@ def changed(ours, theirs):
 def test_all_that_draws_is_watched_and_draws(usual):
     built, flown = usual
     assert set(built) == EVERYBODY
+    assert len({state.numpy().tobytes() for state in built.values()}) == len(EVERYBODY)
     assert changed([built], [flown]) == EVERYBODY - {"pool"} - {
         "scene",
         "initial_state",
