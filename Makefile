@@ -8,7 +8,7 @@ ARGS ?=
 # All but ray, which is large.
 EXTRAS := dev benchmark joblib optuna slurm
 
-.PHONY: demo train test check check-format check-lint check-types format lock clean help
+.PHONY: demo train reproduce test check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
 
 demo: $(STAMP) ## Fly the shipped policy through the default scene.
@@ -16,6 +16,10 @@ demo: $(STAMP) ## Fly the shipped policy through the default scene.
 
 train: $(STAMP) ## Train a policy.
 	$(PY) train.py $(ARGS)
+
+reproduce: $(STAMP) ## Train the default policy anew and compare it with the stored runs.
+	$(PY) train.py name=reproduce $(ARGS)
+	$(PY) -m resc.evaluation.reproduction runs/latest
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
 	$(PY) -m pytest $(ARGS)
