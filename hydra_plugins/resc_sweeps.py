@@ -18,8 +18,9 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from resc.errors import ConfigError
-from resc.evaluation.study import summary_of
-from resc.sweeps import Backend, Job, Outcome, needed, report, require_success, run_sweep
+from resc.evaluation.run_folder import summary_of
+from resc.jobs import Job, Outcome
+from resc.sweeps import Backend, needed, report, require_success, run_sweep
 
 OF_THE_SWEEP = ("launcher", "hydra")
 """Overrides of these say how a sweep is run; what a run is does not depend on them."""

@@ -5,7 +5,6 @@ torch.compile, and because a run that is killed then takes no other with it.
 """
 
 import contextlib
-import fcntl
 import importlib
 import json
 import os
@@ -16,138 +15,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from resc.errors import ConfigError, SweepError
 from resc.evaluation.ablation import write_report
-from resc.evaluation.study import (
-    FAILURE,
-    JOB,
-    ORIGIN,
-    differing,
-    is_finished,
-    overrides_of,
-    summary_of,
-)
-from resc.learning.checkpoint import CHECKPOINT, CONFIG
+from resc.evaluation.run_folder import FAILURE, JOB, ORIGIN
+from resc.evaluation.study import differing, overrides_of
+from resc.jobs import SCRIPT, Job, Outcome, Runner, Status, run_alone
 
-SCRIPT = Path(__file__).parents[1] / "train.py"
-LOG = "log.txt"
-STOPPED = "Stopped after"
-"""How train.py's last line begins when it was asked to stop."""
 POLL_S = 0.5
-LINES = 40
-"""Last lines of a failed run's log that its failure.txt repeats."""
-
-Status = Literal["finished", "failed", "stopped", "busy"]
-
-
-@dataclass(frozen=True)
-class Job:
-    """One run of a sweep: its folder, named by its number, and the overrides that make it."""
-
-    folder: Path
-    overrides: tuple[str, ...]
-    script: Path = SCRIPT
-
-    @property
-    def name(self) -> str:
-        """The folder's last part: the number of the job."""
-        return self.folder.name
-
-    @property
-    def finished(self) -> bool:
-        """Whether it was trained and evaluated to the end."""
-        return is_finished(self.folder)
-
-    @property
-    def command(self) -> list[str]:
-        """What runs it, from its checkpoint where there is one."""
-        command = [sys.executable, str(self.script), *self.overrides]
-        command.append(f"hydra.run.dir={quoted(self.folder)}")
-        if all((self.folder / name).exists() for name in (CHECKPOINT, CONFIG)):
-            command.append(f"resume={quoted(self.folder)}")
-        return command
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What came of a job, in one sentence."""
-
-    job: Job
-    status: Status
-    sentence: str
-
-
-class Runner:
-    """Runs jobs as child processes; `stop` lets the children save their checkpoints and end."""
-
-    def __init__(self) -> None:
-        self.children: set[subprocess.Popen[bytes]] = set()
-        self.stopping = False
-
-    def __call__(self, job: Job) -> Outcome:
-        """Runs one job unless it is finished, or being run by another process."""
-        job.folder.mkdir(parents=True, exist_ok=True)
-        with (job.folder / ".lock").open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return Outcome(job, "busy", "another process is running it")
-            if job.finished:
-                return Outcome(job, "finished", f"{success_of(job)} (kept)")
-            if self.stopping:
-                return Outcome(job, "stopped", "not begun")
-            return self._run(job, lock.fileno())
-
-    def stop(self) -> None:
-        """Asks every child to save its checkpoint and end; asked again, ends them at once."""
-        for child in list(self.children):
-            child.kill() if self.stopping else child.terminate()
-        self.stopping = True
-
-    def _run(self, job: Job, lock: int) -> Outcome:
-        (job.folder / FAILURE).unlink(missing_ok=True)
-        (job.folder / JOB).write_text(json.dumps({"overrides": job.overrides}, indent=2) + "\n")
-        began = time.monotonic()
-        with (job.folder / LOG).open("ab") as log:
-            start = log.tell()
-            # The child holds the lock too: it stays taken should this process be killed.
-            child = subprocess.Popen(
-                job.command, stdout=log, stderr=log, pass_fds=(lock,), start_new_session=True
-            )
-            self.children.add(child)
-            try:
-                code = child.wait()
-            except KeyboardInterrupt:  # how Ray ends a task
-                self.stop()
-                code = child.wait()
-            finally:
-                self.children.discard(child)
-        wall_s = time.monotonic() - began
-        if code == 0 and job.finished:
-            return Outcome(job, "finished", f"{success_of(job)} in {wall_s:.0f} s")
-        with (job.folder / LOG).open(errors="replace") as log:
-            log.seek(start)
-            lines = [line.rpartition("\r")[2].rstrip() for line in log if line.strip()]
-        last = lines[-1] if lines else "nothing was said"
-        if last.startswith(STOPPED) or self.stopping:
-            return Outcome(job, "stopped", last)
-        reason = last.removeprefix("error: ")
-        if code < 0:
-            reason = f"killed by {signal.Signals(-code).name}; perhaps the memory ran out"
-        head = f"{reason}\n\nRun {' '.join(job.overrides)}\nAgain: {shlex.join(job.command)}\n"
-        (job.folder / FAILURE).write_text("\n".join([head, *lines[-LINES:]]) + "\n")
-        return Outcome(job, "failed", reason)
-
-
-def run_alone(job: Job) -> Outcome:
-    """Runs one job from a process that is not the sweep's own: of SLURM or Ray."""
-    return Runner()(job)
 
 
 @runtime_checkable
@@ -365,11 +244,6 @@ def require_same(job: Job) -> None:
         )
 
 
-def success_of(job: Job) -> str:
-    """The success of a finished run, for people."""
-    return f"{summary_of(job.folder)['success_rate']:.1%} succeed"
-
-
 def _git(*arguments: str) -> str:
     """What git says about the source; nothing without git or a repository."""
     command = ["git", "-C", str(SCRIPT.parent), *arguments]
@@ -385,11 +259,6 @@ def _processor() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.machine()
-
-
-def quoted(path: Path) -> str:
-    """A path as the value of an override."""
-    return "'" + str(path).replace("'", "\\'") + "'"
 
 
 def needed(module: str, extra: str) -> Any:  # noqa: ANN401 - a module

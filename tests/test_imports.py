@@ -12,7 +12,7 @@ FLOORS = (
     {"simulation", "maps", "scenes", "terms"},
     {"envs", "planning", "build", "schema"},
     {"learning", "evaluation", "recording", "baselines", "deployment"},
-    {"launch", "sweeps"},
+    {"jobs", "launch", "sweeps"},
 )
 HYDRA_ROOMS = {"build", "schema", "launch"}
 FILES = sorted(

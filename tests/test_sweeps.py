@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from resc.errors import ConfigError, SweepError
+from resc.jobs import Job, Runner
 from resc.launch import resumed_sweep
-from resc.sweeps import Job, Joblib, Ray, Runner, Serial, Slurm, require_success, run_sweep
+from resc.sweeps import Joblib, Ray, Serial, Slurm, require_success, run_sweep
 
 ROOT = Path(__file__).parents[1]
 STAND_IN = ROOT / "tests" / "stand_in_run.py"

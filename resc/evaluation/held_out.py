@@ -15,7 +15,6 @@ from resc.errors import ConfigError
 from resc.evaluation.flights import Flights
 from resc.scenes.pool import ScenePool
 
-EPISODES = "evaluation.csv"
 NEAR_M = 1.5
 """Density is measured this near to the route: as far as training puts obstacles from it."""
 COLUMNS = ("scene", "obstacles", "density", "outcome", "success", "collided", "time_s")

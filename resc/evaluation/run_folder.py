@@ -1,5 +1,6 @@
 """The folder of a run: its summary, and the link to the newest one."""
 
+import contextlib
 import json
 import math
 import os
@@ -12,6 +13,9 @@ from resc.errors import ConfigError
 RUNS = "runs"
 LATEST = "latest"
 SUMMARY = "summary.json"
+CHECKPOINT, CONFIG, EPISODES = "checkpoint.pt", "config.yaml", "evaluation.csv"
+JOB, FAILURE, ORIGIN = "job.json", "failure.txt", "origin.json"
+"""Of a sweep: what makes a run, why it failed, and, of all, command, commit and machine."""
 
 
 def finish_run(folder: Path, summary: Mapping[str, Any]) -> None:
@@ -46,6 +50,24 @@ def link_latest(folder: Path) -> None:
     temporary.unlink(missing_ok=True)
     temporary.symlink_to(folder.relative_to(runs), target_is_directory=True)
     temporary.replace(link)  # at once, so that a reader always finds a run
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a run was trained and evaluated to the end."""
+    return (folder / EPISODES).exists() and "success_rate" in summary_of(folder)
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """The summary of a run; empty if there is none, or one that was cut."""
+    return json_of(folder / SUMMARY)
+
+
+def json_of(path: Path) -> dict[str, Any]:
+    """What a JSON file says; empty if it is missing or cut."""
+    with contextlib.suppress(OSError, ValueError):
+        content = json.loads(path.read_text())
+        return content if isinstance(content, dict) else {}
+    return {}
 
 
 def _finite(value: Any) -> Any:  # noqa: ANN401 - any JSON value

@@ -1,6 +1,5 @@
 """A sweep's folder: which runs there are, what makes them different, what came of them."""
 
-import contextlib
 import csv
 import json
 from collections.abc import Mapping, Sequence
@@ -14,11 +13,19 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc.build import load_config
 from resc.errors import ConfigError
-from resc.evaluation.held_out import EPISODES, Episodes, held_out_rules, read_episodes
-from resc.evaluation.run_folder import SUMMARY
-from resc.learning.checkpoint import CONFIG
+from resc.evaluation.held_out import Episodes, held_out_rules, read_episodes
+from resc.evaluation.run_folder import (
+    CONFIG,
+    EPISODES,
+    FAILURE,
+    JOB,
+    ORIGIN,
+    SUMMARY,
+    json_of,
+    summary_of,
+)
 
-JOB, FAILURE, PROGRESS, ORIGIN = "job.json", "failure.txt", "progress.csv", "origin.json"
+PROGRESS = "progress.csv"
 TASK = ("scene", "task", "vehicle", "rate_loop", "dynamics", "termination", "randomization", "env")
 """Groups that held-out flights must share to be compared."""
 OWN_ENV = ("layout", "history", "observation_frame")
@@ -99,7 +106,7 @@ def read_sweep(folder: Path) -> Sweep:
     names = variant_names(overrides)
     made = zip(folders, names, overrides, strict=True)
     runs = tuple(_read_run(path, name, own) for path, name, own in made)
-    sweep = Sweep(folder, runs, _json_of(folder / ORIGIN))
+    sweep = Sweep(folder, runs, json_of(folder / ORIGIN))
     if not sweep.finished():
         raise ConfigError(
             f"{folder} holds no finished run ({len(folders)} begun); go on with: "
@@ -107,11 +114,6 @@ def read_sweep(folder: Path) -> Sweep:
         )
     _require_one_task(sweep)
     return sweep
-
-
-def is_finished(folder: Path) -> bool:
-    """Whether a run was trained and evaluated to the end."""
-    return (folder / EPISODES).exists() and "success_rate" in summary_of(folder)
 
 
 def overrides_of(folder: Path) -> tuple[str, ...]:
@@ -123,11 +125,6 @@ def overrides_of(folder: Path) -> tuple[str, ...]:
         raise ConfigError(
             f"{path} cannot be read ({error}); delete the folder and go on with the sweep."
         ) from None
-
-
-def summary_of(folder: Path) -> dict[str, Any]:
-    """The summary of a run; empty if there is none, or one that was cut."""
-    return _json_of(folder / SUMMARY)
 
 
 def differing(runs: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
@@ -190,14 +187,6 @@ def _read_run(folder: Path, variant: str, overrides: tuple[str, ...]) -> Run:
     if failure.exists():
         reason = (failure.read_text(errors="replace").splitlines() or ["failed"])[0]
     return replace(run, reason=reason, failed=failure.exists())
-
-
-def _json_of(path: Path) -> dict[str, Any]:
-    """What a JSON file says; empty if it is missing or cut."""
-    with contextlib.suppress(OSError, ValueError):
-        content = json.loads(path.read_text())
-        return content if isinstance(content, dict) else {}
-    return {}
 
 
 def _read_curve(path: Path) -> Columns:

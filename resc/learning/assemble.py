@@ -7,7 +7,8 @@ from omegaconf import DictConfig, open_dict
 from resc.build import build, build_env, build_pool, build_terms, load_config
 from resc.errors import ConfigError
 from resc.evaluation.flights import Flights, fly
-from resc.evaluation.held_out import EPISODES, held_out_rules, tabulate_episodes, write_episodes
+from resc.evaluation.held_out import held_out_rules, tabulate_episodes, write_episodes
+from resc.evaluation.run_folder import EPISODES
 from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint, load_policy
 from resc.learning.ppo import Ppo
 from resc.planning.route import planner_for

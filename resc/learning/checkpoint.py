@@ -21,13 +21,13 @@ from resc.build import build, load_config
 from resc.envs.quadrotor import layout_of
 from resc.envs.stages import Stages
 from resc.errors import CheckpointError
+from resc.evaluation.run_folder import CHECKPOINT as CHECKPOINT
+from resc.evaluation.run_folder import CONFIG as CONFIG
 from resc.learning.networks import Networks
 from resc.learning.ppo import Ppo
 
 Layout = tuple[tuple[str, int], ...]
-CHECKPOINT = "checkpoint.pt"
 POLICY = "policy.pt"
-CONFIG = "config.yaml"
 
 
 @dataclass(frozen=True)
