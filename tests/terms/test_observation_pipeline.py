@@ -37,6 +37,12 @@ def test_gaussian_numbers_are_finite_and_symmetric_from_end_to_end_of_the_unit_i
     assert 5.2 < ends[-1] < 5.5
 
 
+def test_gaussian_numbers_are_the_inverse_of_the_normal_distribution():
+    unit = torch.arange(0, 2**24, 1013) / 2**24
+    exact = torch.special.ndtri(unit.double() + 2**-25)
+    assert_close(gaussian(unit).double(), exact, atol=2e-6, rtol=1e-6)
+
+
 def test_gaussian_numbers_have_the_normal_distribution():
     z = gaussian(torch.rand(1_000_000, generator=torch.Generator().manual_seed(0)))
     assert_close(z.mean(), torch.tensor(0.0), atol=4e-3, rtol=0)
