@@ -1,4 +1,4 @@
-"""Stands in for train.py: writes in a moment what a run leaves, or fails, or waits to be stopped."""
+"""Stands in for train.py: writes at once what a run leaves, or fails, or waits to be stopped."""
 
 import json
 import signal
