@@ -16,7 +16,13 @@ from resc.term import Curriculum
 
 FIXED = "resc.terms.curricula.fixed.Fixed"
 UNREAD = ("scene.difficulty=null", "task.initial_state.difficulty=null")
-LINEAR = ("curriculum=linear", "curriculum.obstacles.frames=512")
+LINEAR = (
+    "curriculum=linear",
+    "curriculum.obstacles.frames=512",
+    "~curriculum.initial_state.value",
+    "curriculum.initial_state._target_=resc.terms.curricula.linear.Linear",
+    "+curriculum.initial_state.frames=512",
+)
 SUCCESS = (
     "curriculum=success",
     "curriculum.obstacles.episodes=2",
