@@ -22,7 +22,7 @@ reproduce: $(STAMP) ## Train the default policy anew and compare it with the sto
 	$(PY) -m resc.evaluation.reproduction runs/latest
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
-	$(PY) -m pytest $(ARGS)
+	$(PY) -m pytest -n auto --maxprocesses 4 $(ARGS)
 
 check: check-format check-lint check-types ## Check format, lint and types.
 
