@@ -41,6 +41,10 @@ def launch(main: Callable[[], None], config_name: str) -> None:
         main()
     except HydraException as error:
         sys.exit(f"error: {explain(error, config_name)}")
+    except ValueError as error:
+        if not str(error).startswith("Only one of --run"):
+            raise
+        sys.exit(f"error: {error}; leave out all but one.")
     except RescError as error:
         sys.exit(f"error: {error}")
 

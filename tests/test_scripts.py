@@ -36,6 +36,12 @@ def test_wrong_override_of_training_gets_one_sentence_and_a_failing_status(
     assert sentence in last
 
 
+def test_two_modes_at_once_get_one_sentence():
+    done = start("train.py", "-m", "--cfg", "job")
+    assert done.returncode == 1
+    assert done.stderr.strip().startswith("error: Only one of --run, --multirun")
+
+
 def test_two_files_that_define_one_term_are_named(tmp_path):
     (tmp_path / "reward").mkdir()
     (tmp_path / "reward" / "mine.yaml").write_text(

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.math.geometry import distance, norm
+from resc.math.smoothness import jerk_energy
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import Context, Metric
 
@@ -117,8 +118,7 @@ class Energy(Metric):
         previous: Float[Tensor, "n 3"],
         clock: Float[Tensor, "n 1"],
     ) -> Float[Tensor, "n 1"]:
-        squared_jerk = ((acceleration - previous) / self.dt_s).square().sum(-1, keepdim=True)
-        return so_far + torch.where(clock > 1, squared_jerk * self.dt_s, 0.0)
+        return so_far + jerk_energy(acceleration, previous, clock, self.dt_s)
 
 
 class RotorEnergy(Metric):

@@ -1,10 +1,10 @@
 """Smoothness of the motion."""
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
+from resc.math.smoothness import jerk_energy
 from resc.term import Context, Reward
 
 
@@ -27,5 +27,4 @@ class Jerk(Reward):
         previous: Float[Tensor, "n 3"],
         clock: Float[Tensor, "n 1"],
     ) -> Float[Tensor, "n 1"]:
-        cost = (acceleration - previous).square().sum(-1, keepdim=True) / self.dt_s
-        return torch.where(clock > 1, -cost, 0.0)
+        return -jerk_energy(acceleration, previous, clock, self.dt_s)
