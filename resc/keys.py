@@ -131,8 +131,8 @@ REWARD = _declare(("reward",), (1,), "-", "weighted sum of the reward terms")
 SCENE_DIFFICULTY = _declare(
     ("scene", "difficulty"), (1,), "-", "difficulty in [0, 1] that the scene was laid out at"
 )
-TRAINED_FRAMES = _declare(
-    ("training", "frames"), (1,), "steps", "environment steps trained on so far"
+TRAINED_SHARE = _declare(
+    ("training", "share"), (1,), "-", "share in [0, 1] of the run's environment steps trained on"
 )
 CURRICULUM_DIFFICULTY = _declare(
     ("curriculum", "difficulty"), (1,), "-", "difficulty in [0, 1] that a curriculum has reached"

@@ -22,7 +22,7 @@ from resc.keys import (
     EPISODE_DIFFICULTY,
     EPISODE_SUCCESS,
     TERMINATED,
-    TRAINED_FRAMES,
+    TRAINED_SHARE,
     TRUNCATED,
 )
 from resc.planning.route import planner_for
@@ -342,15 +342,15 @@ def test_a_curriculum_gives_difficulties_between_zero_and_one(load_part, name):
         assert list(term.levels) == sorted(set(term.levels))
         before = {key: torch.full((1, 1), value) for key, value in term.initial.items()}
         assert set(before) == set(term.outputs)
-        for frames in (0, 1_000_000, 100_000_000):
+        for share in (0.0, 0.4, 1.0):
             flown = {EPISODE_DIFFICULTY: torch.ones(3, 1), EPISODE_SUCCESS: torch.ones(3, 1).bool()}
-            tensors = {**before, **flown, TRAINED_FRAMES: torch.full((1, 1), float(frames))}
+            tensors = {**before, **flown, TRAINED_SHARE: torch.full((1, 1), share)}
             again = dict(tensors)
             term.run(tensors)
             term.run(again)
             for key, value in tensors.items():
                 assert torch.equal(value, again[key]), key
-                assert key in before or key in (*flown, TRAINED_FRAMES)
+                assert key in before or key in (*flown, TRAINED_SHARE)
             assert tensors[CURRICULUM_DIFFICULTY].shape == (1, 1)
             assert 0 <= float(tensors[CURRICULUM_DIFFICULTY]) <= 1
 

@@ -46,15 +46,15 @@ class Curricula:
         """Names of the difficulties that are not full from beginning to end."""
         return tuple(term.name for term in self.terms if tuple(term.levels) != (1.0,))
 
-    def advance(self, frames: int, episodes: TensorDict | None) -> None:
+    def advance(self, share: float, episodes: TensorDict | None) -> None:
         """Runs every curriculum once.
 
         Args:
-            frames: Environment steps trained on so far.
+            share: Of the run's environment steps, trained on so far.
             episodes: Those finished in the last batch [e]: `success` and, under `difficulties`, the
                 difficulty of each name that they were flown at.
         """
-        trained = torch.full((1, 1), float(frames))
+        trained = torch.full((1, 1), share)
         for term in self.terms:
             flown_at, succeeded = torch.zeros(0, 1), torch.zeros(0, 1, dtype=torch.bool)
             if episodes is not None:
@@ -62,7 +62,7 @@ class Curricula:
                 succeeded = episodes["success"].unsqueeze(-1)
             memory = self.memory[term.name]
             tensors = memory | {
-                keys.TRAINED_FRAMES: trained,
+                keys.TRAINED_SHARE: trained,
                 keys.EPISODE_DIFFICULTY: flown_at,
                 keys.EPISODE_SUCCESS: succeeded,
             }

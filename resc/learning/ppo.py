@@ -86,7 +86,7 @@ class Ppo:
         env: The batch of environments; reset on construction.
         networks: Policy and value function.
         settings: Hyper-parameters.
-        total_frames: Environment steps that the learning-rate schedule spans.
+        total_frames: Environment steps that the learning-rate schedule and the curricula span.
         seed: Of exploration noise and minibatch order.
         compile: Compile acting and the loss.
         renew_scenes: Scenes of the pool laid out anew after each batch.
@@ -150,6 +150,11 @@ class Ppo:
         """Environment steps per batch."""
         return self.settings.steps * self.env.num_envs
 
+    @property
+    def share_trained(self) -> float:
+        """Of `total_frames`, at most 1."""
+        return min(self.frames / self.total_frames, 1.0)
+
     def iterate(self) -> dict[str, float]:
         """Collects one batch and updates on it; returns the figures to log."""
         self.collect()
@@ -158,7 +163,7 @@ class Ppo:
         self._learn_normalization()
         self.frames += self.batch_frames
         self.iteration += 1
-        self.curricula.advance(self.frames, self.statistics.complete())
+        self.curricula.advance(self.share_trained, self.statistics.complete())
         return figures
 
     @torch.no_grad()
@@ -300,8 +305,7 @@ class Ppo:
             self.env.restart(rows)
 
     def _learning_rate(self) -> float:
-        share = min(self.frames / self.total_frames, 1.0)
-        return self.settings.learning_rate + share * (
+        return self.settings.learning_rate + self.share_trained * (
             self.settings.final_learning_rate - self.settings.learning_rate
         )
 

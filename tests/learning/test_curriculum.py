@@ -18,10 +18,10 @@ FIXED = "resc.terms.curricula.fixed.Fixed"
 UNREAD = ("scene.difficulty=null", "task.initial_state.difficulty=null")
 LINEAR = (
     "curriculum=linear",
-    "curriculum.obstacles.frames=512",
+    "curriculum.obstacles.share=0.5",
     "~curriculum.initial_state.value",
     "curriculum.initial_state._target_=resc.terms.curricula.linear.Linear",
-    "+curriculum.initial_state.frames=512",
+    "+curriculum.initial_state.share=0.5",
 )
 SUCCESS = (
     "curriculum=success",
@@ -29,7 +29,7 @@ SUCCESS = (
     "curriculum.obstacles.raise_above=0.02",
     "curriculum.obstacles.lower_below=0.01",
 )
-SWITCH = ("curriculum=free_then_obstacles", "curriculum.obstacles.frames=256")
+SWITCH = ("curriculum=free_then_obstacles", "curriculum.obstacles.share=0.25")
 KINDS = {"linear": LINEAR, "success": SUCCESS, "free_then_obstacles": SWITCH}
 
 
@@ -209,19 +209,19 @@ def test_finished_episodes_carry_the_difficulties_they_were_flown_at(make_traine
 class Overshooting(Curriculum):
     """Asks for more than there is."""
 
-    reads = (keys.TRAINED_FRAMES,)
+    reads = (keys.TRAINED_SHARE,)
     initial = {keys.CURRICULUM_DIFFICULTY: 0.0}  # noqa: RUF012
     levels = (0.0, 1.0)
 
-    def compute(self, frames):
-        return frames
+    def compute(self, trained):
+        return 2 * trained
 
 
 def test_a_difficulty_is_kept_between_zero_and_one(make_trainer):
     trainer = make_trainer()
     trainer.curricula.terms = [Overshooting().named("obstacles")]
     trainer.curricula.memory["obstacles"] = {keys.CURRICULUM_DIFFICULTY: torch.zeros(1, 1)}
-    trainer.curricula.advance(300, None)
+    trainer.curricula.advance(1.0, None)
     assert trainer.curricula.difficulties["obstacles"] == 1.0
 
 

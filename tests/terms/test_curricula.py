@@ -9,8 +9,8 @@ from resc.terms.curricula.success import EPISODES, SUCCESSES, Success
 from resc.terms.curricula.switch import Switch
 
 
-def after(term, *frames):
-    return [float(term.compute(torch.tensor([[float(count)]]))) for count in frames]
+def after(term, *shares):
+    return [float(term.compute(torch.tensor([[share]]))) for share in shares]
 
 
 def decide(term, difficulty, flown_at, succeeded, tally=(0.0, 0.0)):
@@ -26,26 +26,26 @@ def decide(term, difficulty, flown_at, succeeded, tally=(0.0, 0.0)):
 
 
 def test_fixed_stays_where_it_is():
-    assert after(Fixed(), 0, 10**8) == [1.0, 1.0]
-    assert after(Fixed(value=0.25), 0, 10**8) == [0.25, 0.25]
+    assert after(Fixed(), 0.0, 1.0) == [1.0, 1.0]
+    assert after(Fixed(value=0.25), 0.0, 1.0) == [0.25, 0.25]
     assert Fixed(value=0.25).levels == (0.25,)
 
 
 def test_linear_rises_evenly_and_stops_at_its_end():
-    term = Linear(frames=1000)
-    assert after(term, 0, 250, 500, 1000, 5000) == [0.0, 0.25, 0.5, 1.0, 1.0]
+    term = Linear(share=0.5)
+    assert after(term, 0.0, 0.125, 0.25, 0.5, 1.0) == [0.0, 0.25, 0.5, 1.0, 1.0]
     assert term.initial == {CURRICULUM_DIFFICULTY: 0.0}
     assert term.levels == pytest.approx([0, 1 / 3, 2 / 3, 1])
 
 
 def test_linear_falls_where_it_ends_lower():
-    term = Linear(frames=100, first=0.8, last=0.2, levels=3)
-    assert after(term, 0, 50, 100, 900) == pytest.approx([0.8, 0.5, 0.2, 0.2])
+    term = Linear(share=1.0, first=0.8, last=0.2, levels=3)
+    assert after(term, 0.0, 0.5, 1.0) == pytest.approx([0.8, 0.5, 0.2])
     assert term.levels == pytest.approx([0.2, 0.5, 0.8])
 
 
 def test_switch_is_one_thing_and_then_the_other():
-    assert after(Switch(frames=300), 0, 299, 300, 10**8) == [0.0, 0.0, 1.0, 1.0]
+    assert after(Switch(share=0.25), 0.0, 0.249, 0.25, 1.0) == [0.0, 0.0, 1.0, 1.0]
 
 
 def test_success_raises_the_difficulty_by_a_level_and_counts_anew():
@@ -97,11 +97,12 @@ def test_a_batch_without_a_finished_episode_changes_nothing():
     ("kind", "wrong", "words"),
     [
         (Fixed, {"value": 1.5}, r"value is 1\.5"),
-        (Linear, {"frames": 0}, "frames is 0"),
-        (Linear, {"frames": 9, "last": -0.1}, r"last is -0\.1"),
-        (Linear, {"frames": 9, "levels": 1}, "levels is 1"),
-        (Linear, {"frames": 9, "first": 1.0}, "two ends"),
-        (Switch, {"frames": 0}, "frames is 0"),
+        (Linear, {"share": 0.0}, "share is 0.0"),
+        (Linear, {"share": 5e6}, "share is 5000000.0; expected a share of the run"),
+        (Linear, {"share": 0.5, "last": -0.1}, r"last is -0\.1"),
+        (Linear, {"share": 0.5, "levels": 1}, "levels is 1"),
+        (Linear, {"share": 0.5, "first": 1.0}, "two ends"),
+        (Switch, {"share": 1.0}, "share is 1.0"),
         (Success, {"episodes": 0}, "episodes is 0"),
         (Success, {"lower_below": 0.9}, r"lower_below is 0\.9"),
         (Success, {"levels": 3, "first": 0.4}, r"first is 0\.4"),

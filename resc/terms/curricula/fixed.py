@@ -15,7 +15,7 @@ class Fixed(Curriculum):
         value: 0 is easiest, 1 is full difficulty.
     """
 
-    reads = (keys.TRAINED_FRAMES,)
+    reads = (keys.TRAINED_SHARE,)
 
     def __init__(self, *, value: float = 1.0) -> None:
         super().__init__()
@@ -25,5 +25,5 @@ class Fixed(Curriculum):
         self.levels = (value,)
         self.initial = {keys.CURRICULUM_DIFFICULTY: value}
 
-    def compute(self, frames: Float[Tensor, "1 1"]) -> Float[Tensor, "1 1"]:
-        return as_column(self.value, frames)
+    def compute(self, trained: Float[Tensor, "1 1"]) -> Float[Tensor, "1 1"]:
+        return as_column(self.value, trained)

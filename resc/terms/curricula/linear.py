@@ -1,4 +1,4 @@
-"""A ramp over the frames trained on."""
+"""A ramp over the course of training."""
 
 from jaxtyping import Float
 from torch import Tensor
@@ -9,25 +9,26 @@ from resc.term import Curriculum
 
 
 class Linear(Curriculum):
-    """Difficulty that changes evenly from `first` to `last` over `frames` environment steps.
+    """Difficulty that changes evenly from `first` to `last` over a share of training.
 
-    d = first + (last - first) min(t / frames, 1).
+    d = first + (last - first) min(t / share, 1), with t the share of the run's environment steps
+    trained on.
 
     Args:
-        frames: Environment steps after which `last` is reached.
+        share: Of the run, in (0, 1], after which `last` is reached.
         first: Difficulty at the start of training.
-        last: Difficulty from `frames` on.
+        last: Difficulty from then on.
         levels: How many difficulties scenes are laid out at.
     """
 
-    reads = (keys.TRAINED_FRAMES,)
+    reads = (keys.TRAINED_SHARE,)
 
     def __init__(
-        self, *, frames: int, first: float = 0.0, last: float = 1.0, levels: int = 4
+        self, *, share: float, first: float = 0.0, last: float = 1.0, levels: int = 4
     ) -> None:
         super().__init__()
-        if frames < 1:
-            raise ConfigError(f"frames is {frames}; expected at least 1.")
+        if not 0 < share <= 1:
+            raise ConfigError(f"share is {share}; expected a share of the run in (0, 1].")
         for name, value in (("first", first), ("last", last)):
             if not 0 <= value <= 1:
                 raise ConfigError(f"{name} is {value}; expected a number in [0, 1].")
@@ -36,12 +37,12 @@ class Linear(Curriculum):
                 f"levels is {levels}, first {first}, last {last}; a ramp needs at least 2 levels "
                 "and two ends (curriculum=fixed has one difficulty)."
             )
-        self.frames = frames
+        self.share = share
         self.first = first
         self.last = last
         low, high = sorted((first, last))
         self.levels = [low + (high - low) * i / (levels - 1) for i in range(levels)]
         self.initial = {keys.CURRICULUM_DIFFICULTY: first}
 
-    def compute(self, frames: Float[Tensor, "1 1"]) -> Float[Tensor, "1 1"]:
-        return self.first + (self.last - self.first) * (frames / self.frames).clamp(max=1)
+    def compute(self, trained: Float[Tensor, "1 1"]) -> Float[Tensor, "1 1"]:
+        return self.first + (self.last - self.first) * (trained / self.share).clamp(max=1)

@@ -9,23 +9,23 @@ from resc.term import Curriculum
 
 
 class Switch(Curriculum):
-    """Difficulty 0 until `frames` environment steps, 1 from then on.
+    """Difficulty 0 for a share of training, 1 from then on.
 
     With obstacles: the sequence in which the authors saw a policy forget free flight (both papers).
 
     Args:
-        frames: Environment steps of the first part.
+        share: Of the run's environment steps, in (0, 1), that the first part takes.
     """
 
-    reads = (keys.TRAINED_FRAMES,)
+    reads = (keys.TRAINED_SHARE,)
     levels = (0.0, 1.0)
 
-    def __init__(self, *, frames: int) -> None:
+    def __init__(self, *, share: float) -> None:
         super().__init__()
-        if frames < 1:
-            raise ConfigError(f"frames is {frames}; expected at least 1.")
-        self.frames = frames
+        if not 0 < share < 1:
+            raise ConfigError(f"share is {share}; expected a share of the run in (0, 1).")
+        self.share = share
         self.initial = {keys.CURRICULUM_DIFFICULTY: 0.0}
 
-    def compute(self, frames: Float[Tensor, "1 1"]) -> Float[Tensor, "1 1"]:
-        return (frames >= self.frames).to(frames.dtype)
+    def compute(self, trained: Float[Tensor, "1 1"]) -> Float[Tensor, "1 1"]:
+        return (trained >= self.share).to(trained.dtype)
