@@ -94,6 +94,10 @@ class QuadrotorEnv(EnvBase):
         """One entry of the world, a view."""
         return self._world[key]
 
+    def world_of(self, rows: Tensor) -> World:
+        """All mutable state of some rows [k, ...], copied."""
+        return {key: value[rows] for key, value in self._world.items()}
+
     @property
     def flown_difficulties(self) -> dict[str, Tensor]:
         """Difficulties of the present episodes [n, 1], by name: views."""

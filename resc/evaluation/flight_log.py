@@ -10,7 +10,13 @@ from torch import Tensor
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import StepOutput
-from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS, record_world, with_success
+from resc.recording.rollouts import (
+    REWARD_TERMS,
+    STATE_COLUMNS,
+    record_world,
+    start_arrays,
+    with_success,
+)
 from resc.recording.writer import RolloutRecorder
 
 BATCH_STEPS = 100
@@ -36,6 +42,8 @@ class FlightLog:
         self.steps: list[TensorDict] = []
         self.ended: list[TensorDict] = []
         record_world(recorder, env.pool, 0)
+        every = torch.arange(env.num_envs)
+        self.starts = [(0, every, env.world_of(every))]
 
     def step(
         self,
@@ -63,9 +71,9 @@ class FlightLog:
             return
         steps = cast(TensorDict, TensorDict.stack(self.steps))
         episodes = cast(TensorDict, TensorDict.cat(self.ended)) if self.ended else None
-        self.recorder.put(steps, self.first_step, with_success(episodes))
+        self.recorder.put(steps, self.first_step, with_success(episodes), start_arrays(self.starts))
         self.first_step += len(self.steps)
-        self.steps, self.ended = [], []
+        self.steps, self.ended, self.starts = [], [], []
 
     def _end(self, rows: Tensor, outcome: Tensor) -> None:
         if len(rows) == 0:

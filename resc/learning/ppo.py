@@ -17,6 +17,7 @@ from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import World
 from resc.errors import ConfigError, NumericalError
 from resc.learning.curriculum import Curricula
 from resc.learning.networks import Networks, RunningNormalization
@@ -140,10 +141,22 @@ class Ppo:
             self._act = torch.compile(self._act_eagerly, fullgraph=True, dynamic=False)
             self._losses = torch.compile(self._losses_eagerly, dynamic=False)
         self.batch = self._allocate()
+        self.keeps_starts = False
+        self._starts: list[tuple[int, Tensor, World]] = []
         self.statistics = EpisodeStatistics(
             env.num_envs, (*env.stages.outcomes, RENEWED), env.device, env.stages.difficulties
         )
         env.restart(torch.arange(env.num_envs))
+
+    def keep_starts(self) -> None:
+        """From now on takes down how episodes begin, for `take_starts`; first, those flying now."""
+        self.keeps_starts = True
+        self._note_starts(self.iteration * self.settings.steps, torch.arange(self.env.num_envs))
+
+    def take_starts(self) -> list[tuple[int, Tensor, World]]:
+        """Episodes begun since the last call: first step in the run, rows [k], their world."""
+        taken, self._starts = self._starts, []
+        return taken
 
     @property
     def batch_frames(self) -> int:
@@ -190,6 +203,7 @@ class Ppo:
             if len(rows):
                 self._terminal.append((t, rows, out.observation[rows]))
                 env.restart(rows)
+                self._note_starts(self.statistics.start_step + t + 1, rows)
         if self.renew_scenes:
             self._renew()
 
@@ -303,6 +317,11 @@ class Ppo:
         self.statistics.cut(last, rows, RENEWED)
         if len(rows):
             self.env.restart(rows)
+            self._note_starts(self.statistics.start_step + self.settings.steps, rows)
+
+    def _note_starts(self, step: int, rows: Tensor) -> None:
+        if self.keeps_starts:
+            self._starts.append((step, rows, self.env.world_of(rows)))
 
     def _learning_rate(self) -> float:
         return self.settings.learning_rate + self.share_trained * (

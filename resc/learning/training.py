@@ -17,7 +17,7 @@ from resc.errors import RecordingError
 from resc.learning.checkpoint import CHECKPOINT, save_checkpoint
 from resc.learning.ppo import Ppo
 from resc.learning.progress import Logger, ProgressTable
-from resc.recording.rollouts import record_world, with_success
+from resc.recording.rollouts import record_world, start_arrays, with_success
 from resc.recording.writer import RolloutRecorder
 
 
@@ -70,6 +70,7 @@ def train(
     saved_at = time.monotonic()
     if recorder is not None:
         record_world(recorder, pool, trainer.iteration * trainer.settings.steps)
+        trainer.keep_starts()
     bar = tqdm(
         total=total_frames, initial=trainer.frames, unit="step", unit_scale=True, smoothing=0.05
     )
@@ -113,7 +114,12 @@ def record_batch(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
     if recorder is None:
         return
     start = trainer.statistics.start_step
-    recorder.put(trainer.batch, start, with_success(trainer.statistics.episodes()))
+    recorder.put(
+        trainer.batch,
+        start,
+        with_success(trainer.statistics.episodes()),
+        start_arrays(trainer.take_starts()),
+    )
     if trainer.renew_scenes:
         pool = trainer.env.pool
         renewed = (pool.head + torch.arange(-trainer.renew_scenes, 0)) % len(pool)

@@ -58,18 +58,23 @@ class HostBatch:
     time_ns: int
     rollout: Leaves
     episodes: Leaves
+    starts: Leaves
     wait: Callable[[], None]
 
 
-def host_batch(number: int, start_step: int, rollout: Leaves, episodes: Leaves) -> HostBatch:
-    """Copies of the leaves of a batch and of its episodes; either may be empty."""
+def host_batch(
+    number: int, start_step: int, rollout: Leaves, episodes: Leaves, starts: Leaves
+) -> HostBatch:
+    """Copies of the leaves of a batch, of its episodes and its starts; any may be empty."""
     (rollout, wait_rollout), (episodes, wait_episodes) = to_host(rollout), to_host(episodes)
+    starts, wait_starts = to_host(starts)
 
     def wait() -> None:
         wait_rollout()
         wait_episodes()
+        wait_starts()
 
-    return HostBatch(number, start_step, time.time_ns(), rollout, episodes, wait)
+    return HostBatch(number, start_step, time.time_ns(), rollout, episodes, starts, wait)
 
 
 def to_host(leaves: Mapping[tuple[str, ...], Tensor]) -> tuple[Leaves, Callable[[], None]]:

@@ -1,4 +1,4 @@
-"""The rare messages, one at a time: finished episodes and the scenes in use."""
+"""The rare messages, one at a time: finished episodes, the scenes in use, worlds at starts."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,13 +9,13 @@ from jaxtyping import Shaped
 from torch import Tensor
 
 from resc.errors import RecordingError
-from resc.recording.schema import EPISODE_KEYS, EPISODES, WORLD, WORLD_FIELDS, numpy_type
+from resc.recording.schema import ARRAY_FIELDS, EPISODE_KEYS, EPISODES, numpy_type
 from resc.recording.wire import delimited, fixed_fields, read_varint
 
 _OUTCOME = len(EPISODE_KEYS)
 FLOATS = ("return_", "difficulty")
 _ARRAYS, _NAME, _SHAPE = 2, 1, 2
-_VALUES = {dtype: number for number, dtype in enumerate(WORLD_FIELDS, 3)}
+_VALUES = {dtype: number for number, dtype in enumerate(ARRAY_FIELDS, 3)}
 
 
 def encode_episodes(
@@ -49,9 +49,9 @@ def decode_episodes(messages: Sequence[bytes]) -> tuple[dict[str, np.ndarray], l
     return {name: records[name] for name in EPISODE_KEYS[:-1]}, outcomes
 
 
-def encode_world(arrays: Mapping[str, Tensor], start_step: int) -> bytes:
-    """One `resc.World`: named arrays of any shape."""
-    head = fixed_fields(WORLD, 1)
+def encode_arrays(topic: str, arrays: Mapping[str, Tensor], start_step: int) -> bytes:
+    """One `resc.World` or `resc.Starts`: named arrays of any shape."""
+    head = fixed_fields(topic, 1)
     head["start_step"] = start_step
     out = [head.tobytes()]
     for name, tensor in arrays.items():
@@ -62,9 +62,9 @@ def encode_world(arrays: Mapping[str, Tensor], start_step: int) -> bytes:
     return b"".join(out)
 
 
-def decode_world(message: bytes) -> tuple[int, dict[str, Tensor]]:
-    """Start step and arrays of one `resc.World`."""
-    head = fixed_fields(WORLD, 0).dtype
+def decode_arrays(topic: str, message: bytes) -> tuple[int, dict[str, Tensor]]:
+    """Start step and arrays of one `resc.World` or `resc.Starts`."""
+    head = fixed_fields(topic, 0).dtype
     start_step = int(np.frombuffer(message, head, 1)["start_step"][0])
     arrays = {}
     for _, body in _delimited_fields(message, head.itemsize):

@@ -122,7 +122,10 @@ class RolloutLog:
     def worlds(self) -> list[tuple[int, dict[str, Tensor]]]:
         """Scene arrays, each with the control step from which they were in use."""
         messages = chain.from_iterable(_messages(source, WORLD) for source in self._sources)
-        return sorted(dict(map(events.decode_world, messages)).items(), key=lambda world: world[0])
+        return sorted(
+            dict(events.decode_arrays(WORLD, message) for message in messages).items(),
+            key=lambda world: world[0],
+        )
 
     @property
     def world(self) -> dict[str, Tensor]:

@@ -2,7 +2,7 @@
 
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from tensordict import TensorDict
 
 from resc import keys
 from resc.build import build
-from resc.envs.stages import Stages
+from resc.envs.stages import Stages, World
 from resc.recording.schema import Column
 from resc.recording.writer import RolloutRecorder
 from resc.scenes.pool import ScenePool
@@ -70,6 +70,21 @@ def record_world(
     rows = entries.to(pool.shared[keys.BOXES_W].device)
     arrays = {key[-1]: value[rows] for key, value in scenes.items() if key != keys.ESDF}
     recorder.put_world({"entry": entries, **arrays}, start_step)
+
+
+def start_arrays(
+    starts: Sequence[tuple[int, torch.Tensor, World]],
+) -> dict[str, torch.Tensor]:
+    """Arrays of `/starts` from (first step, rows [k], their world): one entry per episode begun."""
+    if not starts:
+        return {}
+    steps = [torch.full_like(rows, step) for step, rows, _ in starts]
+    worlds = [world for *_, world in starts]
+    return {
+        "env_id": torch.cat([rows for _, rows, _ in starts]).cpu(),
+        "step": torch.cat(steps).cpu(),
+        **{".".join(key): torch.cat([world[key] for world in worlds]) for key in worlds[0]},
+    }
 
 
 def with_success(episodes: TensorDict | None) -> TensorDict | None:

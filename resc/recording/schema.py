@@ -17,8 +17,13 @@ from google.protobuf.descriptor_pb2 import (
 
 from resc.errors import ConfigError
 
-ROLLOUT, EPISODES, WORLD = "/rollout", "/episodes", "/world"
-SCHEMA_NAMES = {ROLLOUT: "resc.RolloutFragment", EPISODES: "resc.Episode", WORLD: "resc.World"}
+ROLLOUT, EPISODES, WORLD, STARTS = "/rollout", "/episodes", "/world", "/starts"
+SCHEMA_NAMES = {
+    ROLLOUT: "resc.RolloutFragment",
+    EPISODES: "resc.Episode",
+    WORLD: "resc.World",
+    STARTS: "resc.Starts",
+}
 
 _Field = FieldDescriptorProto
 # Fixed-width types only: a packed repeated field is then a little-endian array, as numpy has it.
@@ -49,13 +54,14 @@ FIELDS: dict[str, dict[str, int]] = {
         "outcome": _Field.TYPE_STRING,
     },
     WORLD: {"start_step": _Field.TYPE_FIXED64},
+    STARTS: {"start_step": _Field.TYPE_FIXED64},
 }
-"""Scalar fields of each message, numbered from 1; fragments and worlds go on with arrays."""
+"""Scalar fields of each message, numbered from 1; the others but episodes go on with arrays."""
 EPISODE_KEYS = tuple(FIELDS[EPISODES])
-# Wide integers only here: browsers cannot plot them, but nothing plots the scenes.
-_WORLD_TYPES = _TYPES | {torch.int64: ("<i8", _Field.TYPE_SFIXED64)}
-WORLD_FIELDS = dict(zip(_WORLD_TYPES, ("floats", "bools", "ints", "uints", "longs"), strict=True))
-"""Field of `resc.World.Array` for each type, numbered from 3."""
+# Wide integers only here: browsers cannot plot them, but nothing plots scenes and starts.
+_ARRAY_TYPES = _TYPES | {torch.int64: ("<i8", _Field.TYPE_SFIXED64)}
+ARRAY_FIELDS = dict(zip(_ARRAY_TYPES, ("floats", "bools", "ints", "uints", "longs"), strict=True))
+"""Field of a named array of `resc.World` and `resc.Starts` for each type, numbered from 3."""
 
 # A lower-case first letter keeps a field apart from the message type nested under its name.
 _NAME = re.compile(r"[a-z][A-Za-z0-9_]*")
@@ -167,14 +173,14 @@ def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
         _add_field(message, name, kind)
     if topic == ROLLOUT:
         _add_tree(message, column_tree(columns), columns, f".{SCHEMA_NAMES[ROLLOUT]}")
-    elif topic == WORLD:
+    elif topic in (WORLD, STARTS):
         field = _add_field(message, "arrays", _Field.TYPE_MESSAGE, repeated=True)
         array = message.nested_type.add(name="Array")
-        field.type_name = f".{SCHEMA_NAMES[WORLD]}.{array.name}"
+        field.type_name = f".{SCHEMA_NAMES[topic]}.{array.name}"
         _add_field(array, "name", _Field.TYPE_STRING)
         _add_field(array, "shape", _Field.TYPE_FIXED32, repeated=True)
-        for dtype, name in WORLD_FIELDS.items():
-            _add_field(array, name, _WORLD_TYPES[dtype][1], repeated=True)
+        for dtype, name in ARRAY_FIELDS.items():
+            _add_field(array, name, _ARRAY_TYPES[dtype][1], repeated=True)
     name = f"resc/{topic.removeprefix('/')}.proto"
     file = FileDescriptorProto(name=name, package="resc", syntax="proto3", message_type=[message])
     return FileDescriptorSet(file=[file]).SerializeToString()
@@ -182,4 +188,4 @@ def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
 
 def numpy_type(dtype: torch.dtype) -> np.dtype:
     """Type of one value on the wire."""
-    return np.dtype(_WORLD_TYPES[dtype][0])
+    return np.dtype(_ARRAY_TYPES[dtype][0])

@@ -5,7 +5,7 @@ import logging
 import math
 import mimetypes
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -167,7 +167,7 @@ class Segments:
         directory.mkdir(parents=True, exist_ok=True)
         self._sizes = {path: path.stat().st_size for path in sorted(directory.glob(_NUMBERED))}
         self._full = when_full == "stop" and sum(self._sizes.values()) >= self._max_bytes
-        self._pinned: tuple[str, bytes] | None = None
+        self._pinned: tuple[str, Callable[[], bytes]] | None = None
         self._active: Segment | None = None
         self._activate()
 
@@ -191,11 +191,12 @@ class Segments:
         fresh = self._active is None
         segment = self._activate()
         if fresh and self._pinned is not None and topic != self._pinned[0]:
-            segment.append(self._pinned[0], [(messages[0][0], 0, self._pinned[1])], publish_time)
+            topic_pinned, data = self._pinned
+            segment.append(topic_pinned, [(messages[0][0], 0, data())], publish_time)
         segment.append(topic, messages, publish_time)
 
-    def pin(self, topic: str, data: bytes) -> None:
-        """Repeat this message at the beginning of every later file."""
+    def pin(self, topic: str, data: Callable[[], bytes]) -> None:
+        """Write this message, as it is then, at the beginning of every later file."""
         self._pinned = (topic, data)
 
     def commit(self) -> None:

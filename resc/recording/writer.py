@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Literal
 
 import numpy as np
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -27,7 +28,7 @@ from resc.recording.batches import (
     host_batch,
     to_host,
 )
-from resc.recording.schema import EPISODES, ROLLOUT, WORLD, WORLD_FIELDS, Column
+from resc.recording.schema import ARRAY_FIELDS, EPISODES, ROLLOUT, STARTS, WORLD, Column
 from resc.recording.segments import FileHead, Segments
 from resc.recording.specification import Specification, require
 
@@ -90,6 +91,7 @@ class RolloutRecorder:
         require(texts, "metadata", dict(metadata), "text values only")
         self._directory = Path(directory)
         self._batches = self._next_step = self._written = 0
+        self._scenes: dict[str, Tensor] = {}
         try:
             self._segments = Segments(
                 self._directory,
@@ -115,15 +117,21 @@ class RolloutRecorder:
         return self._written
 
     def put(
-        self, batch: TensorDictBase, start_step: int, episodes: TensorDictBase | None = None
+        self,
+        batch: TensorDictBase,
+        start_step: int,
+        episodes: TensorDictBase | None = None,
+        starts: Mapping[str, Tensor] | None = None,
     ) -> None:
         """Record a batch `[T, N]` whose first row is step `start_step` of every environment.
 
         `episodes` `[E]` lists those that ended within the batch: `env_id`, `episode`, `start_step`,
         `end_step` (inclusive), `length`, `return_`, `difficulty`, `success`, `scene`, and
-        `outcome` as an index into `outcomes`.
+        `outcome` as an index into `outcomes`. `starts` lists the episodes that begin within it, or
+        right after it: `env_id` and `step` [S], and any arrays [S, ...] that say how.
         """
         self._check_open()
+        begun = _array_leaves(starts or {}, "Starts")
         rollout = column_leaves(batch, self._specification)
         ended = episode_leaves(episodes) if episodes is not None and len(episodes) > 0 else {}
         if start_step < self._next_step:
@@ -135,19 +143,17 @@ class RolloutRecorder:
         number, self._batches = self._batches, self._batches + 1
         if number % self._specification.every_n_batches != 0:
             rollout = {}
-        copies = host_batch(number, start_step, rollout, ended)
+        copies = host_batch(number, start_step, rollout, ended, begun)
         self._queue.put(partial(self._write_batch, copies))
 
     def put_world(self, message: Mapping[str, Tensor], start_step: int) -> None:
-        """Record the scenes used from `start_step` on: named arrays, one entry for each scene."""
+        """Record the scenes used from `start_step` on: named arrays [S, ...].
+
+        An array `entry` [S] says which scenes of those put first these replace; without it they
+        replace all.
+        """
         self._check_open()
-        for name, tensor in message.items():
-            if tensor.dtype not in WORLD_FIELDS:
-                raise RecordingError(
-                    f"World array '{name}' has dtype {tensor.dtype}; "
-                    f"convert it to one of {', '.join(map(str, WORLD_FIELDS))}."
-                )
-        leaves, wait = to_host({(name,): tensor for name, tensor in message.items()})
+        leaves, wait = to_host(_array_leaves(message, "World"))
         self._queue.put(partial(self._write_world, leaves, wait, start_step, time.time_ns()))
 
     def flush(self) -> None:
@@ -237,7 +243,12 @@ class RolloutRecorder:
                 self._specification.dt_ns,
             )
             self._segments.append(EPISODES, messages, batch.time_ns)
-        if batch.rollout or batch.episodes:
+        if batch.starts:
+            arrays = {name: leaf for (name,), leaf in batch.starts.items()}
+            data = events.encode_arrays(STARTS, arrays, batch.start_step)
+            origin = batch.start_step * self._specification.dt_ns
+            self._segments.append(STARTS, [(origin, 0, data)], batch.time_ns)
+        if batch.rollout or batch.episodes or batch.starts:
             self._segments.commit()
         self._written += bool(batch.rollout)
 
@@ -258,7 +269,29 @@ class RolloutRecorder:
         self, leaves: Leaves, wait: Callable[[], None], start_step: int, time_ns: int
     ) -> None:
         wait()
-        data = events.encode_world({name: leaf for (name,), leaf in leaves.items()}, start_step)
+        arrays = {name: leaf for (name,), leaf in leaves.items()}
+        data = events.encode_arrays(WORLD, arrays, start_step)
         self._segments.append(WORLD, [(start_step * self._specification.dt_ns, 0, data)], time_ns)
-        self._segments.pin(WORLD, data)
+        self._scenes = _replaced(self._scenes, arrays)
+        self._segments.pin(WORLD, lambda: events.encode_arrays(WORLD, self._scenes, start_step))
         self._segments.commit()
+
+
+def _array_leaves(arrays: Mapping[str, Tensor], what: str) -> Leaves:
+    for name, tensor in arrays.items():
+        if tensor.dtype not in ARRAY_FIELDS:
+            raise RecordingError(
+                f"{what} array '{name}' has dtype {tensor.dtype}; "
+                f"convert it to one of {', '.join(map(str, ARRAY_FIELDS))}."
+            )
+    return {(name,): tensor for name, tensor in arrays.items()}
+
+
+def _replaced(scenes: dict[str, Tensor], arrays: dict[str, Tensor]) -> dict[str, Tensor]:
+    """All scenes, after some of them were put anew."""
+    if "entry" not in arrays or scenes.keys() != arrays.keys():
+        return arrays
+    rows = torch.searchsorted(scenes["entry"], arrays["entry"])
+    for name, values in arrays.items():
+        scenes[name][rows] = values
+    return scenes
