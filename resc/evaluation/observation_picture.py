@@ -5,8 +5,6 @@ python -m resc.evaluation.observation_picture [folder]
 
 import math
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,7 +13,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Polygon, Rectangle
+from matplotlib.patches import Polygon, Rectangle
 from torch import Tensor
 
 from resc import keys
@@ -24,15 +22,9 @@ from resc.evaluation.panel import BACKGROUND, FRAME, OBSTACLE, PLAN, SHADE_M, TE
 from resc.maps.constants import OCCUPIED_M
 from resc.maps.distance_transform import distance_transform
 from resc.math.rotation import quaternion_from_euler
+from resc.recording.sight import FIRST, MOVING, SECOND, SIGHTS, Pose, Shape, shapes
 from resc.scenes.layout import rasterize
 from resc.term import Context, Observation
-from resc.terms.observations.depth_scan import DepthScan
-from resc.terms.observations.esdf_patch import EsdfPatch
-from resc.terms.observations.kgp_esdf import KgpEsdf
-from resc.terms.observations.kgp_esdf_pair import KgpEsdfPair
-from resc.terms.observations.ray_sampling import RaySampling
-from resc.terms.observations.ray_search import RaySearch
-from resc.terms.observations.sdf_gradient import SdfGradient
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -42,20 +34,8 @@ BOXES = ((3.1, 3.7, 0.6, 0.9), (3.2, 1.3, 0.6, 0.7), (5.1, 2.6, 0.4, 1.3), (1.0,
 SIZE_M, RESOLUTION_M = (6.4, 5.2), 0.1
 POSITION, VELOCITY, YAW = (1.63, 2.57, 1.0), (1.6, 0.7, 0.0), 0.2
 POINTS = ((4.15, 2.9, 1.0), (4.9, 1.1, 1.0))
-FIRST, SECOND, MOVING = "#1f6fb2", "#1b8a5a", "#d7263d"
-"""Colours of what is seen toward the control points, and along the velocity or the heading."""
-
-
-@dataclass(frozen=True)
-class Seen:
-    """One term and its numbers of the pose, by column."""
-
-    term: Observation
-    value: dict[str, float]
-
-    def point(self, name: str) -> tuple[float, float]:
-        """The vector in columns `name`_x and `name`_y, from the vehicle, as a place on the map."""
-        return POSITION[0] + self.value[f"{name}_x"], POSITION[1] + self.value[f"{name}_y"]
+SHARP = {"shrinkA": 0, "shrinkB": 0}
+"""Arrows that begin and end where they are told to."""
 
 
 def draw_all(folder: Path) -> list[Path]:
@@ -74,15 +54,17 @@ def draw_all(folder: Path) -> list[Path]:
     files = []
     for path in sorted((ROOT / "conf/obstacle_observation").glob("*.yaml")):
         terms = build_terms(load_config(path), "obstacle_observation", Observation)
-        shown = [_observe(term, esdf) for term in terms if type(term) in ARTISTS]
+        shown = [shape for term in terms for shape in _observe(term, esdf)]
         if shown:
             files.append(folder / f"{path.stem}.png")
             _draw(shown, esdf, files[-1])
     return files
 
 
-def _observe(term: Observation, esdf: Float[Tensor, "1 h w"]) -> Seen:
-    """The numbers that a term gives of the pose; its noise comes from a fixed seed."""
+def _observe(term: Observation, esdf: Float[Tensor, "1 h w"]) -> list[Shape]:
+    """What a term sees of the pose, if it sees the map; its noise comes from a fixed seed."""
+    if type(term) not in SIGHTS:
+        return []
     term.bind(Context(dt_s=0.02, resolution_m=RESOLUTION_M, vehicle=None))
     tensors = {
         keys.POSITION_W: torch.tensor([POSITION]),
@@ -96,17 +78,20 @@ def _observe(term: Observation, esdf: Float[Tensor, "1 h w"]) -> Seen:
     }
     generator = torch.Generator().manual_seed(1)
     drawn = [torch.rand(1, term.step_draws, generator=generator)] if term.step_draws else []
-    numbers = term.compute(*(tensors[key] for key in term.reads), *drawn)[0].tolist()
-    return Seen(term, dict(zip(term.columns, numbers, strict=True)))
+    numbers = term.compute(*(tensors[key] for key in term.reads), *drawn)
+    position, velocity = (torch.tensor([vector[:2]]) for vector in (POSITION, VELOCITY))
+    points = torch.tensor([[point[:2] for point in POINTS]])
+    pose = Pose(position, velocity, torch.tensor([YAW]), points)
+    return shapes(term, numbers, pose)
 
 
-def _draw(shown: list[Seen], esdf: Float[Tensor, "1 h w"], path: Path) -> None:
+def _draw(shown: list[Shape], esdf: Float[Tensor, "1 h w"], path: Path) -> None:
     with plt.rc_context({"font.size": 9, "font.family": "DejaVu Sans"}):
         figure, axes = plt.subplots(figsize=(6.4, 5.6), layout="constrained")
         _draw_map(axes, esdf)
         entries: dict[str, Line2D] = {}
-        for seen in shown:
-            entries |= ARTISTS[type(seen.term)](axes, seen)
+        for shape in shown:
+            entries |= _draw_shape(axes, shape)
         _draw_pose(axes)
         figure.legend(
             handles=[*entries.values()],
@@ -148,8 +133,8 @@ def _draw_pose(axes: Axes) -> None:
     outline = [(x + cosine * a - sine * b, y + sine * a + cosine * b) for a, b in corners]
     axes.add_patch(Polygon(outline, facecolor="white", edgecolor=PLAN, linewidth=1.2, zorder=8))
     tip = (x + VELOCITY[0] / 3, y + VELOCITY[1] / 3)
-    arrow = {"arrowstyle": "-|>", "color": MOVING, "linewidth": 1.8, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", tip, (x, y), arrowprops=arrow, zorder=7)
+    arrow = {"arrowstyle": "-|>", "color": MOVING, "linewidth": 1.8}
+    axes.annotate("", tip, (x, y), arrowprops=arrow | SHARP, zorder=7)
     axes.annotate("v", tip, (3, 4), textcoords="offset points", color=MOVING, style="italic")
     for name, point, colour in zip(("0", "1"), POINTS, (FIRST, SECOND), strict=True):
         axes.scatter(*point[:2], s=70, facecolor="white", edgecolor=colour, linewidth=1.6, zorder=6)
@@ -159,152 +144,73 @@ def _draw_pose(axes: Axes) -> None:
         )
 
 
-def _line(axes: Axes, end: tuple[float, float], colour: str, dashed: bool = False) -> Line2D:
+def _draw_shape(axes: Axes, shape: Shape) -> dict[str, Line2D]:
+    """Draws one shape; returns its entry of the legend, none if it has no place."""
+    places = [(x, y) for x, y in shape.places[0].tolist() if not math.isnan(x)]
+    if not places:
+        return {}
+    label = shape.label
+    if shape.kind == "outline":
+        distance = math.dist(POSITION[:2], places[0])
+        axes.plot(*zip(*places, strict=True), color=shape.colour, linestyle=":", linewidth=1.2)
+        return {f"{label} {distance:.2f} m": Line2D([], [], color=shape.colour, linestyle=":")}
+    if shape.kind == "arrow":
+        arrow = {"arrowstyle": "-|>", "color": shape.colour, "linewidth": 2}
+        axes.annotate("", places[0], POSITION[:2], arrowprops=arrow | SHARP, zorder=7)
+        return {label: Line2D([], [], color=shape.colour, marker=">", linewidth=2)}
+    if shape.kind in ("dots", "diamonds"):
+        mark = _dots(axes, places, shape)
+        if shape.values is not None:
+            _inset(axes, shape.values[0])
+        return {label: mark}
+    if shape.kind == "edges":
+        sector = [POSITION[:2], *places]
+        axes.add_patch(Polygon(sector, color=shape.colour, alpha=0.13, linewidth=0))
+    for end in places:
+        line = _line(axes, end, shape)
+    return {label: _dots(axes, places, shape) if shape.kind == "edges" else line}
+
+
+def _line(axes: Axes, end: tuple[float, float], shape: Shape) -> Line2D:
     """A line from the vehicle."""
     (line,) = axes.plot(
         [POSITION[0], end[0]],
         [POSITION[1], end[1]],
-        color=colour,
-        linewidth=1.1,
-        linestyle="--" if dashed else "-",
+        color=shape.colour,
+        linewidth=0.7 if shape.kind == "rays" else 1.1,
+        linestyle="--" if shape.kind == "free" else "-",
         zorder=4,
     )
     return line
 
 
-def _dot(axes: Axes, at: tuple[float, float], colour: str, marker: str = "o") -> Line2D:
-    (dot,) = axes.plot(
-        *at,
-        marker=marker,
-        color=colour,
+def _dots(axes: Axes, places: list[tuple[float, float]], shape: Shape) -> Line2D:
+    # Where the edges beside two guides coincide, both show.
+    sizes = {"dots": 3.5, "diamonds": 6, "edges": 6 if shape.colour == SECOND else 10}
+    (dots,) = axes.plot(
+        *zip(*places, strict=True),
+        marker="D" if shape.kind == "diamonds" else "o",
+        color=shape.colour,
         markeredgecolor="white",
-        markersize=8,
+        markeredgewidth=0 if shape.kind == "dots" else 1,
+        markersize=sizes[shape.kind],
         linestyle="none",
-        zorder=6,
+        zorder=7 if shape.kind == "diamonds" else 9 if shape.values is not None else 6,
     )
-    return dot
+    return dots
 
 
-def _toward(angle: float, distance: float) -> tuple[float, float]:
-    return POSITION[0] + distance * math.cos(angle), POSITION[1] + distance * math.sin(angle)
-
-
-def _bearing(target: tuple[float, ...]) -> float:
-    return math.atan2(target[1] - POSITION[1], target[0] - POSITION[0])
-
-
-def _draw_edges(axes: Axes, seen: Seen, guide: str, colour: str) -> Line2D:
-    """The two edges of one guide, and the sector between them."""
-    left, right = seen.point(f"{guide}_left"), seen.point(f"{guide}_right")
-    axes.add_patch(Polygon([POSITION[:2], left, right], color=colour, alpha=0.13, linewidth=0))
-    for end in (left, right):
-        _line(axes, end, colour)
-        dot = _dot(axes, end, colour)
-        dot.set(markersize=6 if colour == SECOND else 10)  # where two coincide, both show
-    return dot
-
-
-def _draw_kgp(axes: Axes, seen: Seen) -> dict[str, Line2D]:
-    along = math.atan2(VELOCITY[1], VELOCITY[0])
-    free = _toward(along, seen.value["free_distance"])
-    return {
-        "edges beside the velocity": _draw_edges(axes, seen, "velocity", MOVING),
-        "edges beside control point 0": _draw_edges(axes, seen, "control_point", FIRST),
-        "free distance along the velocity": _line(axes, free, MOVING, dashed=True),
-    }
-
-
-def _draw_pair(axes: Axes, seen: Seen) -> dict[str, Line2D]:
-    entries = {}
-    for number, (name, colour) in enumerate((("first", FIRST), ("second", SECOND))):
-        entries[f"edges beside control point {number}"] = _draw_edges(axes, seen, name, colour)
-        free = _toward(_bearing(POINTS[number]), seen.value[f"{name}_free_distance"])
-        entries[f"free distance toward control point {number}"] = _line(axes, free, colour, True)
-    along = math.atan2(VELOCITY[1], VELOCITY[0])
-    free = _toward(along, seen.value["velocity_free_distance"])
-    return entries | {"free distance along the velocity": _line(axes, free, MOVING, dashed=True)}
-
-
-def _draw_sampling(axes: Axes, seen: Seen) -> dict[str, Line2D]:
-    for number in range(len(seen.value) // 2):
-        ray = _line(axes, seen.point(f"ray_{number}"), FRAME)
-        dot = _dot(axes, seen.point(f"ray_{number}"), PLAN, ".")
-    return {"sampled rays": ray, "end points": dot}
-
-
-def _draw_search(axes: Axes, seen: Seen) -> dict[str, Line2D]:
-    entries = {}
-    for number, (name, colour) in enumerate((("first", FIRST), ("second", SECOND))):
-        entries[f"edges toward control point {number}"] = _draw_edges(axes, seen, name, colour)
-        free = _toward(_bearing(POINTS[number]), seen.value[f"{name}_free_distance"])
-        entries[f"free distance toward control point {number}"] = _line(axes, free, colour, True)
-        through = _dot(axes, seen.point(f"{name}_through"), colour, "D")
-        through.set(markersize=6, zorder=7)
-        entries[f"way through to control point {number}"] = through
-    return entries
-
-
-def _draw_patch(axes: Axes, seen: Seen) -> dict[str, Line2D]:
-    assert isinstance(seen.term, EsdfPatch)
-    for x, y in seen.term.grid.tolist():
-        dot = _dot(axes, (POSITION[0] + x, POSITION[1] + y), PLAN, "s")
-        dot.set(markersize=4, zorder=9)
+def _inset(axes: Axes, values: Float[Tensor, " b"]) -> None:
+    """A square of distances, as numbers."""
     inset = axes.inset_axes((0.03, 0.04, 0.30, 0.36))
-    side = math.isqrt(len(seen.value))
-    grid = torch.tensor([*seen.value.values()]).view(side, side)
+    side = math.isqrt(len(values))
+    grid = values.view(side, side)
     inset.imshow(grid.numpy(), cmap=BACKGROUND)
     for row in range(side):
         for column in range(side):
             text = f"{grid[row, column]:.2f}"
             inset.text(column, row, text, ha="center", va="center", fontsize=8)
     inset.set(xticks=[], yticks=[], title="distances [m]")
-    return {"points looked up": dot}
-
-
-def _draw_gradient(axes: Axes, seen: Seen) -> dict[str, Line2D]:
-    distance = seen.value["distance"]
-    ahead = seen.point("toward")
-    end = _toward(_bearing(ahead), distance)
-    arrow = {"arrowstyle": "-|>", "color": FIRST, "linewidth": 2, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", end, POSITION[:2], arrowprops=arrow, zorder=7)
-    circle = Circle(POSITION[:2], distance, fill=False, color=FIRST, linestyle=":")
-    axes.add_patch(circle)
-    return {
-        f"distance {distance:.2f} m": Line2D([], [], color=FIRST, linestyle=":"),
-        "direction of the nearest obstacle": Line2D([], [], color=FIRST, marker=">", linewidth=2),
-    }
-
-
-def _draw_scan(axes: Axes, seen: Seen) -> dict[str, Line2D]:
-    assert isinstance(seen.term, DepthScan)
-    angle, range_m = seen.term.field_of_view_rad, seen.term.range_m
-    readings, entries = [*seen.value.values()], {}
-    for number, distance in enumerate(readings):
-        bearing = YAW + angle * (0.5 - number / (len(readings) - 1))
-        if distance == 0:
-            lost = _line(axes, _toward(bearing, 0.6), MOVING, dashed=True)
-            entries["beam that dropped out"] = lost
-            continue
-        line = _line(axes, _toward(bearing, distance), FRAME)
-        line.set(linewidth=0.7)
-        entries["beam"] = line
-        if distance < range_m:
-            dot = _dot(axes, _toward(bearing, distance), FIRST)
-            dot.set(markersize=4, markeredgewidth=0)
-            entries["depth, with noise"] = dot
-    return entries
-
-
-ARTISTS: dict[type[Observation], Callable[[Axes, Seen], dict[str, Line2D]]] = {
-    KgpEsdf: _draw_kgp,
-    KgpEsdfPair: _draw_pair,
-    RaySampling: _draw_sampling,
-    RaySearch: _draw_search,
-    SdfGradient: _draw_gradient,
-    DepthScan: _draw_scan,
-    EsdfPatch: _draw_patch,
-}
-"""What draws each kind of observation."""
 
 
 if __name__ == "__main__":
