@@ -1,20 +1,25 @@
-"""Fragments to TensorDicts."""
+"""Fragments to arrays: ranges of environments, or the steps of chosen episodes."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import groupby
 
 import numpy as np
 import torch
-from jaxtyping import Shaped
+from jaxtyping import Int, Shaped
 from tensordict import TensorDict
+from torch import Tensor
 
 from resc.errors import RecordingError
 from resc.recording import wire
 from resc.recording.schema import ROLLOUT, Column
-from resc.recording.source import ChunkRef, Source
+from resc.recording.source import MESSAGE_HEAD, ChunkRef, Source
 
 Arrays = list[Shaped[np.ndarray, "t n _"]]
 """One array for each column."""
+SPAN = np.dtype([(name, "i8") for name in ("episode", "batch", "env_id", "lower", "upper")])
+"""Steps `lower` up to `upper` of an environment in a batch, and the episode they belong to."""
 
 
 @dataclass(frozen=True)
@@ -30,32 +35,75 @@ class Batch:
         """The recorder that wrote it."""
         return self.source.specification.session
 
-    def arrays(self, first: int, last: int) -> Arrays:
-        """The values of environments `first` to `last`, from only the chunks that hold them."""
+    @cached_property
+    def steps(self) -> int:
+        """Its length, from the index."""
+        columns, chunk = self.source.specification.columns, self.chunks[-1]
+        if chunk is not self.source.chunks[0]:
+            # All its messages are equally long, and it holds nothing else.
+            size = chunk.size // (chunk.end_time - chunk.start_time + 1) - MESSAGE_HEAD
+        else:  # the first chunk of a file holds the schemas, too
+            size = next(self.source.rows(chunk, ROLLOUT)).size
+        layout = _layout(columns, size)
+        if layout is None:
+            raise _rearranged(self.source)
+        return layout.steps
+
+    def read(self, first: int, last: int, out: Arrays) -> None:
+        """Puts the values of environments `first` to `last` into arrays."""
         columns = self.source.specification.columns
-        origin = self.start_step * self.source.specification.dt_ns
-        layout, out = None, []
+        for found, layout, rows in self.fragments(first, last):
+            low, high = max(first, found), min(last + 1, found + rows.count)
+            if low < high:
+                here = [array[:, low - first : high - first] for array in out]
+                wire.decode_fragments(columns, layout, rows.part(low - found, high - found), here)
+
+    def read_spans(
+        self,
+        spans: Shaped[np.ndarray, " s"],
+        targets: Int[np.ndarray, " s"],
+        out: Shaped[np.ndarray, " rows"],
+    ) -> None:
+        """Puts the steps of spans of this batch into records (`record_type`), from `targets` on."""
+        columns, wanted = self.source.specification.columns, spans["env_id"]
+        for found, layout, rows in self.fragments(int(wanted.min()), int(wanted.max())):
+            chosen = (wanted >= found) & (wanted < found + rows.count)
+            if not chosen.any():
+                continue
+            here = spans[chosen]
+            low, high = int(here["env_id"].min()), int(here["env_id"].max()) + 1
+            records = np.empty((high - low, layout.steps), out.dtype)
+            arrays = [records[name].swapaxes(0, 1) for name in out.dtype.names or ()]
+            wire.decode_fragments(columns, layout, rows.part(low - found, high - found), arrays)
+            count = here["upper"] - here["lower"]
+            within = ranges(count)
+            env_ids, lowers = (np.repeat(here[name], count) for name in ("env_id", "lower"))
+            out[np.repeat(targets[chosen], count) + within] = records[
+                env_ids - low, lowers + within
+            ]
+
+    def fragments(self, first: int, last: int) -> Iterator[tuple[int, wire.Layout, wire.Rows]]:
+        """First environment, layout and fragments of each chunk with some of `first` to `last`."""
+        specification = self.source.specification
+        origin = self.start_step * specification.dt_ns
         for chunk in self.chunks:
             if chunk.end_time - origin < first or chunk.start_time - origin > last:
                 continue
+            expected = chunk.start_time - origin
             for rows in self.source.rows(chunk, ROLLOUT):
-                if layout is None:
-                    layout = self._layout(rows)
-                    shape = (layout.steps, last + 1 - first)
-                    out = [np.empty((*shape, c.width), c.numpy_dtype) for c in columns]
-                selected, place = _select(rows, first, last)
-                wire.decode_fragments(columns, layout, selected, [array[:, place] for array in out])
-        return out
-
-    def _layout(self, rows: wire.Rows) -> wire.Layout:
-        columns = self.source.specification.columns
-        layout = wire.fragment_layout(columns, wire.fragment_steps(columns, rows.message(0)))
-        if len(layout.template) != rows.size:
-            raise RecordingError(
-                f"{self.source.path} holds a fragment of {rows.size} bytes where its columns need "
-                f"{len(layout.template)}; it was rewritten, read the original."
-            )
-        return layout
+                layout, headers = _layout(specification.columns, rows.size), wire.headers(rows)
+                env_ids = np.arange(expected, expected + rows.count)
+                if (
+                    layout is None
+                    or layout.steps != self.steps
+                    or (headers["start_step"] != self.start_step).any()
+                    or (headers["env_id"] != env_ids).any()
+                ):
+                    raise _rearranged(self.source)
+                yield expected, layout, rows
+                expected += rows.count
+            if expected != chunk.end_time - origin + 1:
+                raise _rearranged(self.source)
 
 
 def batches(source: Source) -> list[Batch]:
@@ -64,35 +112,121 @@ def batches(source: Source) -> list[Batch]:
     found = []
     chunks = source.chunks_of(ROLLOUT)
     for start_step, group in groupby(chunks, lambda chunk: chunk.start_time // dt_ns):
-        batch = Batch(source, start_step, tuple(group))
-        if batch.chunks[-1].end_time - start_step * dt_ns == num_envs - 1:
+        batch, expected = Batch(source, start_step, tuple(group)), start_step * dt_ns
+        for chunk in batch.chunks:
+            if chunk.start_time != expected:
+                raise _rearranged(source)
+            expected = chunk.end_time + 1
+        if expected == start_step * dt_ns + num_envs:
             found.append(batch)
         elif source.complete:
-            raise RecordingError(
-                f"{source.path} was rearranged by another program; read the file that RESC wrote."
-            )
+            raise _rearranged(source)
     return found
 
 
-def join(columns: tuple[Column, ...], num_envs: int, parts: list[Arrays]) -> TensorDict:
-    """Batches one after the other, with the recorded keys and shapes; empties `parts`."""
-    steps = sum(len(part[0]) for part in parts)
-    result = TensorDict({}, batch_size=[steps, num_envs])
+def read_environments(
+    columns: tuple[Column, ...],
+    found: Sequence[Batch],
+    first: int,
+    last: int,
+    *,
+    by_component: bool = False,
+) -> Arrays:
+    """All steps of environments `first` to `last` in some batches, one after the other.
+
+    In memory they lie as the shape `[T, N, width]` says, or `by_component`: `[width, N, T]`.
+    """
+    steps, num_envs = sum(batch.steps for batch in found), last + 1 - first
+    arrays = []
     for column in columns:
-        # Taking the pieces out frees them: two copies of everything never coexist.
-        pieces = [part.pop(0) for part in parts]
-        empty = np.empty((0, num_envs, column.width), column.numpy_dtype)
-        values = pieces[0] if len(pieces) == 1 else np.concatenate([empty, *pieces])
-        shape = (steps, num_envs, *(column.shape or ()))
-        result[column.key] = torch.from_numpy(values).reshape(shape)
+        shape = (steps, num_envs, column.width)
+        if by_component:
+            arrays.append(np.empty(shape[::-1], column.numpy_dtype).T)
+        else:
+            arrays.append(np.empty(shape, column.numpy_dtype))
+    start = 0
+    for batch in found:
+        stop = start + batch.steps
+        batch.read(first, last, [array[start:stop] for array in arrays])
+        start = stop
+    return arrays
+
+
+def read_spans(
+    columns: tuple[Column, ...], found: Sequence[Batch], spans: Shaped[np.ndarray, " s"]
+) -> Shaped[np.ndarray, " rows"]:
+    """The steps of some spans, in their order, as records; reads a batch once, and only where."""
+    counts = spans["upper"] - spans["lower"]
+    out, targets = np.empty(counts.sum(), record_type(columns)), np.cumsum(counts) - counts
+    order = np.argsort(spans["batch"], kind="stable")
+    numbers, firsts = np.unique(spans["batch"][order], return_index=True)
+    for number, chosen in zip(numbers.tolist(), np.split(order, firsts)[1:], strict=True):
+        found[number].read_spans(spans[chosen], targets[chosen], out)
+    return out
+
+
+def spans_of(
+    found: Sequence[Batch],
+    numbers: Int[np.ndarray, " b"],
+    episodes: Mapping[str, Int[np.ndarray, " e"]],
+) -> Shaped[np.ndarray, " s"]:
+    """Where the recorded steps of some episodes are: by episode, then by time.
+
+    Args:
+        found: The batches of a log.
+        numbers: Those of the recorder that recorded the episodes, in the order of time.
+        episodes: `index`, `env_id`, `start_step` and `end_step` (inclusive) of each.
+    """
+    starts = np.array([found[number].start_step for number in numbers], np.int64)
+    ends = starts + np.array([found[number].steps for number in numbers], np.int64)
+    first = np.searchsorted(ends, episodes["start_step"], side="right")
+    count = np.searchsorted(starts, episodes["end_step"], side="right") - first
+    rows = np.repeat(np.arange(len(count)), count)
+    here = np.repeat(first, count) + ranges(count)
+    spans = np.empty(len(rows), SPAN)
+    spans["episode"], spans["env_id"] = episodes["index"][rows], episodes["env_id"][rows]
+    spans["batch"] = numbers[here]
+    spans["lower"] = np.maximum(episodes["start_step"][rows], starts[here]) - starts[here]
+    spans["upper"] = np.minimum(episodes["end_step"][rows] + 1, ends[here]) - starts[here]
+    return spans
+
+
+def record_type(columns: tuple[Column, ...]) -> np.dtype:
+    """One step of one environment: a field for each column, named by its number."""
+    return np.dtype([(str(i), c.numpy_dtype, (c.width,)) for i, c in enumerate(columns)])
+
+
+def to_tensordict(columns: tuple[Column, ...], records: Shaped[np.ndarray, "..."]) -> TensorDict:
+    """Records with the recorded keys and shapes."""
+    result = TensorDict({}, batch_size=records.shape)
+    for i, column in enumerate(columns):
+        result[column.key] = as_tensor(column, records[str(i)].copy())
     return result
 
 
-def _select(rows: wire.Rows, first: int, last: int) -> tuple[wire.Rows, slice]:
-    """The fragments of environments `first` to `last` among rows, and their place in the output."""
-    found = int(wire.fragment_headers(rows)["env_id"][0])
-    skip = max(first - found, 0)
-    count = max(min(rows.count - skip, last + 1 - found - skip), 0)
-    place = max(found - first, 0)
-    chosen = replace(rows, first=rows.first + skip * rows.stride, count=count)
-    return chosen, slice(place, place + count)
+def as_tensor(column: Column, values: Shaped[np.ndarray, "*shape _"]) -> Tensor:
+    """The values of a column with their recorded shape."""
+    return torch.from_numpy(values).reshape(*values.shape[:-1], *(column.shape or ()))
+
+
+def ranges(counts: Int[np.ndarray, " s"]) -> Int[np.ndarray, " rows"]:
+    """0 up to each count, one after the other."""
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+@lru_cache(maxsize=64)
+def _layout(columns: tuple[Column, ...], size: int) -> wire.Layout | None:
+    """Layout of the fragments that are `size` bytes long; None if no fragment is."""
+    steps = size // sum(column.width * column.numpy_dtype.itemsize for column in columns)
+    while steps > 0:
+        layout = wire.fragment_layout(columns, steps)
+        if len(layout.template) <= size:
+            return layout if len(layout.template) == size else None
+        steps -= 1
+    return None
+
+
+def _rearranged(source: Source) -> RecordingError:
+    return RecordingError(
+        f"{source.path} was rearranged by another program; read the file that RESC wrote."
+    )

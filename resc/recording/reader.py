@@ -1,35 +1,52 @@
-"""Recorded rollouts as TensorDicts."""
+"""Recorded rollouts as TensorDicts and dataframes."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from glob import glob
 from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
+import polars as pl
+from jaxtyping import Int, Shaped
 from omegaconf import Container, OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 
 from resc.errors import RecordingError
 from resc.recording import events
-from resc.recording.decode import Arrays, batches, join
-from resc.recording.schema import EPISODES, WORLD, Column
-from resc.recording.segments import ACTIVE, PATTERN
+from resc.recording.decode import (
+    SPAN,
+    Batch,
+    as_tensor,
+    batches,
+    ranges,
+    read_environments,
+    read_spans,
+    spans_of,
+    to_tensordict,
+)
+from resc.recording.location import recordings_at
+from resc.recording.schema import WORLD, Column
+from resc.recording.selection import Selection
 from resc.recording.source import Source, open_source
 from resc.recording.specification import Specification
+from resc.recording.tables import as_pandas, episode_table, step_table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class RolloutLog:
-    """The recorded rollouts of a run: one file, the files of a directory, or those of a pattern.
+    """The recorded rollouts of a run: one file, those of a directory, of a run, or of a pattern.
 
     A file that was cut, or is still being written, is read up to its last complete batch; a later
     `RolloutLog` of the same path sees what has been added.
     """
 
     def __init__(self, location: str | Path) -> None:
-        found = (open_source(path) for path in _find(location))
+        found = (open_source(path) for path in recordings_at(location))
         self._sources = [source for source in found if source is not None]
         if not self._sources:
             raise RecordingError(
@@ -43,6 +60,13 @@ class RolloutLog:
                     "time step; open them one at a time."
                 )
         self._batches = list(chain.from_iterable(batches(source) for source in self._sources))
+        places: dict[tuple[str, int], Path] = {}
+        for batch in self._batches:
+            other = places.setdefault((batch.session, batch.start_step), batch.source.path)
+            if other != batch.source.path:
+                raise RecordingError(
+                    f"{batch.source.path} and {other} hold the same steps; leave one of them out."
+                )
 
     @property
     def files(self) -> list[Path]:
@@ -100,28 +124,38 @@ class RolloutLog:
         return tuple(dict.fromkeys(names))
 
     @cached_property
-    def episodes(self) -> TensorDict:
-        """Finished episodes `[E]`, in the order recorded; reads no rollout chunk.
+    def episodes(self) -> pl.DataFrame:
+        """Finished episodes, one a row, in the order recorded; reads no rollout chunk.
 
-        int64 `env_id`, `episode`, `start_step`, `end_step` (inclusive), `length`, `scene` and
-        `outcome` (an index into `outcomes`); float32 `return_` and `difficulty`; bool `success`.
+        `index` (what `episode` takes), `env_id`, `episode` (within its environment), `start_step`
+        and `end_step` (inclusive), `length`, `return_`, `difficulty`, `success`, `outcome`,
+        `scene`, `seed`, `file`, and `complete`: whether all its steps are in these files.
         """
-        messages = list(chain.from_iterable(_messages(s, EPISODES) for s in self._sources))
-        arrays, names = events.decode_episodes(messages)
-        codes = {name: code for code, name in enumerate(self.outcomes)}
-        arrays["outcome"] = np.array([codes[name] for name in names], np.uint32)
-        tensors = {
-            key: torch.from_numpy(
-                array.astype(np.int64 if array.dtype.kind == "u" else array.dtype)
-            )
-            for key, array in arrays.items()
-        }
-        return TensorDict(tensors, batch_size=[len(messages)])
+        found = self._spans["upper"] - self._spans["lower"]
+        steps = np.bincount(self._spans["episode"], found, minlength=len(self._listed))
+        complete = steps == self._listed["length"].to_numpy()
+        return self._listed.with_columns(complete=pl.Series(complete, dtype=pl.Boolean))
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    def __iter__(self) -> Iterator[TensorDict]:
+        return iter(self.where())
+
+    def where(self, *conditions: pl.Expr, **equal: object) -> Selection:
+        """The episodes that meet all conditions, as a view of this recording.
+
+        `log.where(pl.col("length") > 100, outcome="collision")`
+
+        Raises:
+            RecordingError: A condition names no column, or an outcome that there is none of.
+        """
+        return Selection(self, self.episodes).where(*conditions, **equal)
 
     @cached_property
     def worlds(self) -> list[tuple[int, dict[str, Tensor]]]:
         """Scene arrays, each with the control step from which they were in use."""
-        messages = chain.from_iterable(_messages(source, WORLD) for source in self._sources)
+        messages = chain.from_iterable(source.messages(WORLD) for source in self._sources)
         return sorted(
             dict(events.decode_arrays(WORLD, message) for message in messages).items(),
             key=lambda world: world[0],
@@ -135,45 +169,106 @@ class RolloutLog:
     def batch(self, index: int) -> TensorDict:
         """One collector batch, `[T, N]`."""
         _require_index(index, -self.num_batches, self.num_batches, "batch", "batches")
-        return self._join([self._batches[index].arrays(0, self.num_envs - 1)], self.num_envs)
+        return self._read(0, self.num_envs - 1, [self._batches[index]])
 
     def env(self, env_id: int) -> TensorDict:
         """All recorded steps of one environment, `[T_total]`; reads one chunk of each batch."""
         _require_index(env_id, 0, self.num_envs, "environment", "environments")
-        return self._join([batch.arrays(env_id, env_id) for batch in self._batches], 1)[:, 0]
+        return self._read(env_id, env_id, self._batches)[:, 0]
 
     def episode(self, index: int) -> TensorDict:
         """The steps `[T]` of entry `index` of `episodes`, from its first to its last."""
         count = len(self.episodes)
         _require_index(index, -count, count, "episode", "episodes")
-        columns = (self.episodes.get(key) for key in ("env_id", "start_step", "end_step"))
-        env_id, start, end = (int(column[index]) for column in columns)
-        session = self._episode_sessions[index]
-        found = [b for b in self._batches if b.session == session and b.start_step <= end]
-        first = max((i for i, batch in enumerate(found) if batch.start_step <= start), default=0)
-        parts = []
-        for batch in found[first:]:
-            lower, upper = (max(step - batch.start_step, 0) for step in (start, end + 1))
-            parts.append([array[lower:upper] for array in batch.arrays(env_id, env_id)])
-        steps = sum(len(part[0]) for part in parts)
-        if steps != end + 1 - start:
-            raise RecordingError(
-                f"Of episode {index} (environment {env_id}, steps {start} to {end}) {steps} steps "
-                f"are recorded; choose a complete one, or read what there is with env({env_id})."
-            )
-        return self._join(parts, 1)[:, 0]
+        records, _ = self.steps_of(np.array([index % count]))
+        return to_tensordict(self.columns, records)
 
     def to_tensordict(self) -> TensorDict:
         """Everything recorded, `[T_total, N]`."""
-        every = [batch.arrays(0, self.num_envs - 1) for batch in self._batches]
-        return self._join(every, self.num_envs)
+        return self._read(0, self.num_envs - 1, self._batches)
+
+    def to_polars(self) -> pl.DataFrame:
+        """One row per environment and step, one column per component: `state.position_w.x`.
+
+        Before them `index` and `episode` (see `episodes`; null where no episode is listed),
+        `env_id` and control `step`. One environment follows the other. `where(...).to_polars()`
+        has the steps of some episodes only.
+        """
+        last = self.num_envs - 1
+        arrays = read_environments(self.columns, self._batches, 0, last, by_component=True)
+        values = [array.T.reshape(array.shape[2], -1).T for array in arrays]
+        return step_table(self.columns, self._about_steps(), values)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """As `to_polars`, for pandas."""
+        return as_pandas(self.to_polars())
+
+    def steps_of(
+        self, numbers: Int[np.ndarray, " e"]
+    ) -> tuple[Shaped[np.ndarray, " rows"], Int[np.ndarray, " e"]]:
+        """The steps of some episodes one after the other, as records, and how many each has."""
+        counts = self.episodes["length"].to_numpy()[numbers]
+        partial = numbers[~self.episodes["complete"].to_numpy()[numbers]]
+        if len(partial):
+            raise RecordingError(
+                f"Of {len(partial)} of these {len(numbers)} episodes, such as {partial[0]}, not "
+                "all steps are recorded in these files; leave them out with where(complete=True), "
+                "or read what there is with env()."
+            )
+        firsts = np.searchsorted(self._spans["episode"], [numbers, numbers + 1])
+        pieces = firsts[1] - firsts[0]
+        rows = np.repeat(firsts[0], pieces) + ranges(pieces)
+        return read_spans(self.columns, self._batches, self._spans[rows]), counts
 
     @cached_property
-    def _episode_sessions(self) -> list[str]:
-        return [s.specification.session for s in self._sources for _ in _messages(s, EPISODES)]
+    def _listed(self) -> pl.DataFrame:
+        return episode_table(self._sources, self.outcomes)
 
-    def _join(self, parts: list[Arrays], num_envs: int) -> TensorDict:
-        return join(self.columns, num_envs, parts)
+    @cached_property
+    def _sessions(self) -> list[str]:
+        """The recorder that wrote each episode."""
+        files = {str(s.path): s.specification.session for s in self._sources}
+        return [files[file] for file in self._listed["file"]]
+
+    @cached_property
+    def _spans(self) -> Shaped[np.ndarray, " s"]:
+        """Where the steps of each episode are."""
+        columns = ("index", "env_id", "start_step", "end_step")
+        episodes = {name: self._listed[name].to_numpy() for name in columns}
+        owners, found = np.array(self._sessions, object), []
+        for session in dict.fromkeys(self._sessions):
+            numbers = [i for i, batch in enumerate(self._batches) if batch.session == session]
+            numbers.sort(key=lambda number: self._batches[number].start_step)
+            own = {name: values[owners == session] for name, values in episodes.items()}
+            found.append(spans_of(self._batches, np.array(numbers, np.int64), own))
+        spans = np.concatenate([np.empty(0, SPAN), *found])
+        return spans[np.argsort(spans["episode"], kind="stable")]
+
+    def _read(self, first: int, last: int, found: Sequence[Batch]) -> TensorDict:
+        """All steps of environments `first` to `last` in some batches."""
+        arrays = read_environments(self.columns, found, first, last)
+        result = TensorDict({}, batch_size=arrays[0].shape[:2])
+        for column, array in zip(self.columns, arrays, strict=True):
+            result[column.key] = as_tensor(column, array)
+        return result
+
+    def _about_steps(self) -> dict[str, Int[np.ndarray, " rows"]]:
+        """Environment, step and episode of everything recorded, environment by environment."""
+        lengths = np.array([batch.steps for batch in self._batches], np.int64)
+        steps = np.repeat(np.array(self.start_steps, np.int64), lengths) + ranges(lengths)
+        offsets, spans = np.cumsum(lengths) - lengths, self._spans
+        counts = spans["upper"] - spans["lower"]
+        first = spans["env_id"] * len(steps) + offsets[spans["batch"]] + spans["lower"]
+        index = np.full(self.num_envs * len(steps), -1)
+        index[np.repeat(first, counts) + ranges(counts)] = np.repeat(spans["episode"], counts)
+        # Step -1, "no episode", takes the number that is put last.
+        episode = np.append(self._listed["episode"].to_numpy(), -1)
+        return {
+            "index": index,
+            "env_id": np.repeat(np.arange(self.num_envs), len(steps)),
+            "episode": episode[index],
+            "step": np.tile(steps, self.num_envs),
+        }
 
 
 def _require_index(index: int, lowest: int, limit: int, what: str, plural: str) -> None:
@@ -183,28 +278,6 @@ def _require_index(index: int, lowest: int, limit: int, what: str, plural: str) 
         )
 
 
-def _messages(source: Source, topic: str) -> list[bytes]:
-    runs = chain.from_iterable(source.rows(chunk, topic) for chunk in source.chunks_of(topic))
-    return [rows.message(i) for rows in runs for i in range(rows.count)]
-
-
 def _common(specification: Specification) -> Specification:
     """What files that are read together must agree on."""
     return replace(specification, session="", outcomes=(), round_bits=None, every_n_batches=1)
-
-
-def _find(location: str | Path) -> list[Path]:
-    """The files at a path, in a directory, or matching a pattern."""
-    path = Path(location)
-    if path.is_file():
-        return [path]
-    if path.is_dir():
-        found = [*path.glob(PATTERN), *path.glob(PATTERN + ACTIVE)]
-    else:
-        found = [Path(name) for name in glob(str(location), recursive=True)]
-    if not found:
-        raise RecordingError(
-            f"No recording at {location}; give an .mcap file, a directory that holds {PATTERN}, "
-            "or a pattern."
-        )
-    return sorted(found)

@@ -24,7 +24,8 @@ from resc.recording.wire import Rows
 
 _MESSAGE = 0x05
 _RECORD = struct.Struct("<BQ")
-_MESSAGE_HEAD = 31  # opcode, length, channel, sequence, log time, publish time
+_CHANNEL = struct.Struct("<H")
+MESSAGE_HEAD = 31  # opcode, length, channel, sequence, log time, publish time
 # What the readers of mcap raise at the end of a file that was cut.
 _CUT = (McapError, struct.error, UnicodeDecodeError)
 # Opcode, length, start time, end time, uncompressed size, CRC.
@@ -42,6 +43,7 @@ class ChunkRef:
     offset: int
     length: int
     compressed: int
+    size: int
     codec: str
 
 
@@ -73,6 +75,11 @@ class Source:
     def rows(self, chunk: ChunkRef, topic: str) -> Iterator[Rows]:
         """The messages of a topic in a chunk, in runs of equal length."""
         return _message_runs(self._load(chunk), self.topics[topic])
+
+    def messages(self, topic: str) -> list[bytes]:
+        """All messages of a topic, in the order recorded; for the rare ones of any length."""
+        chunks, channel = self.chunks_of(topic), self.topics.get(topic)
+        return [m for chunk in chunks for m in _messages(self._load(chunk), channel)]
 
     def _load(self, chunk: ChunkRef) -> bytes:
         with open_recording(self.path) as file:
@@ -111,8 +118,18 @@ def _message_runs(data: bytes, channel: int) -> Iterator[Rows]:
         same = (heads == heads[0]).all(axis=1)
         count = len(same) if same.all() else int(same.argmin())
         if int.from_bytes(data[position + 9 : position + 11], "little") == channel:
-            yield Rows(data, position + _MESSAGE_HEAD, stride, length - (_MESSAGE_HEAD - 9), count)
+            yield Rows(data, position + MESSAGE_HEAD, stride, length - (MESSAGE_HEAD - 9), count)
         position += count * stride
+
+
+def _messages(data: bytes, channel: int | None) -> Iterator[bytes]:
+    position = 0
+    while position < len(data):
+        opcode, length = _RECORD.unpack_from(data, position)
+        end = position + _RECORD.size + length
+        if opcode == _MESSAGE and _CHANNEL.unpack_from(data, position + _RECORD.size)[0] == channel:
+            yield data[position + MESSAGE_HEAD : end]
+        position = end
 
 
 def open_recording(path: Path) -> IO[bytes]:
@@ -178,6 +195,7 @@ def _index(file: IO[bytes]) -> _Contents | None:
             chunk.chunk_start_offset,
             chunk.chunk_length,
             chunk.compressed_size,
+            chunk.uncompressed_size,
             chunk.compression,
         )
         for chunk in summary.chunk_indexes
@@ -226,5 +244,6 @@ def _reference(chunk: Chunk, end: int, channel: int) -> ChunkRef:
         end - length,
         length,
         len(chunk.data),
+        chunk.uncompressed_size,
         chunk.compression,
     )

@@ -7,7 +7,7 @@ strided copies.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -126,6 +126,10 @@ class Rows:
         start = self.first + index * self.stride
         return bytes(self.buffer[start : start + self.size])
 
+    def part(self, start: int, stop: int) -> "Rows":
+        """Messages `start` up to `stop`."""
+        return replace(self, first=self.first + start * self.stride, count=stop - start)
+
 
 def encode_fragments(
     columns: tuple[Column, ...],
@@ -148,18 +152,7 @@ def encode_fragments(
     return [data[i : i + size] for i in range(0, len(data), size)]
 
 
-def fragment_steps(columns: tuple[Column, ...], message: bytes) -> int:
-    """Steps in a fragment, from the length of its first array."""
-    position, node = _HEADER.itemsize, column_tree(columns)
-    while True:
-        _, position = read_varint(message, position)
-        length, position = read_varint(message, position)
-        node = next(iter(node.values()))
-        if isinstance(node, Leaf):
-            return length // columns[node.column].numpy_dtype.itemsize
-
-
-def fragment_headers(rows: Rows) -> Shaped[np.ndarray, " n"]:
+def headers(rows: Rows) -> Shaped[np.ndarray, " n"]:
     """Structured array with `env_id`, `batch` and `start_step` of each fragment."""
     return rows.view(_HEADER)[:, 0]
 

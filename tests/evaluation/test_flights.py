@@ -120,11 +120,11 @@ def test_time_limit_ends_a_flight(corridor, flying, policy):
 def test_recording_holds_the_trajectories(flights, log):
     _, flown = flights
     ended = log.episodes
-    assert sorted(ended["env_id"].tolist()) == list(range(6))
+    assert sorted(ended["env_id"]) == list(range(6))
     for number in range(6):
-        episode = ended["env_id"].tolist().index(number)
+        episode = ended["env_id"].to_list().index(number)
         steps = int(flown.steps[number])
-        assert int(ended["length"][episode]) == steps
+        assert ended["length"][episode] == steps
         recorded = log.episode(episode)
         assert torch.equal(recorded["state", "position_w"], flown.position_w[:steps, number])
         assert recorded["terminated"][:, 0].nonzero()[:, 0].tolist() == [steps - 1]
@@ -140,9 +140,9 @@ def test_recording_of_waiting_rows_ends_and_earns_nothing(flights, log):
 
 def test_recording_names_outcomes_and_returns(flights, log):
     _, flown = flights
-    rows = log.episodes["env_id"]
-    assert (log.episodes["success"] == flown.success[rows.long()]).all()
-    whole = log.to_tensordict()
+    rows = log.episodes["env_id"].to_torch()
+    assert torch.equal(log.episodes["success"].to_torch(), flown.success[rows])
+    returns = log.to_tensordict()["reward"].sum((0, 2))[rows]
     torch.testing.assert_close(
-        log.episodes["return_"], whole["reward"].sum((0, 2))[rows.long()], atol=1e-4, rtol=1e-4
+        log.episodes["return_"].to_torch(), returns, atol=1e-4, rtol=1e-4
     )

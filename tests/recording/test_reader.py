@@ -86,16 +86,19 @@ def test_episodes_agree_with_the_done_flags(tmp_path):
         put_all(target, whole, 16)
     log = RolloutLog(tmp_path)
     assert len(log.episodes) == int(whole["done"].sum())
-    for key, expected in torch.cat([finished(whole, i, i + 16) for i in range(0, 96, 16)]).items():
-        torch.testing.assert_close(log.episodes[key], expected, rtol=0, atol=0)
-    for index in range(len(log.episodes)):
-        entry, episode = log.episodes[index], log.episode(index)
-        steps = torch.arange(int(entry["start_step"]), int(entry["end_step"]) + 1)
+    expected = torch.cat([finished(whole, i, i + 16) for i in range(0, 96, 16)])
+    expected["outcome"] = expected["end_step"] % 3
+    for key, values in expected.items():
+        found = log.episodes[key].to_physical() if key == "outcome" else log.episodes[key]
+        assert found.to_list() == values.tolist()
+    for entry in log.episodes.iter_rows(named=True):
+        episode = log.episode(entry["index"])
+        steps = torch.arange(entry["start_step"], entry["end_step"] + 1)
         assert torch.equal(episode["step"].flatten().long(), steps)
         assert episode["done"].flatten().tolist() == [False] * (len(steps) - 1) + [True]
-        total = episode["next", "reward"].sum()
-        torch.testing.assert_close(total, entry["return_"], rtol=1e-5, atol=1e-5)
-        assert log.outcomes[entry["outcome"]] == OUTCOMES[int(entry["end_step"]) % 3]
+        total = float(episode["next", "reward"].sum())
+        assert total == pytest.approx(entry["return_"], rel=1e-5, abs=1e-5)
+        assert entry["outcome"] == OUTCOMES[entry["end_step"] % 3]
 
 
 def test_listing_episodes_reads_no_rollout_chunk(tmp_path, monkeypatch):
@@ -165,7 +168,8 @@ def test_an_episode_that_is_only_partly_recorded_is_an_error(tmp_path):
     assert log.start_steps == [0, 20, 40]
     assert len(log.episodes) == 2
     assert len(log.episode(0)) == 6
-    with pytest.raises(RecordingError, match="15 steps are recorded"):
+    assert log.episodes["complete"].to_list() == [True, False]
+    with pytest.raises(RecordingError, match="not all steps are recorded"):
         log.episode(1)
 
 
@@ -178,9 +182,9 @@ def test_sessions_in_one_directory_are_not_mixed(tmp_path):
     assert [path.name for path in log.files] == ["rollouts_00000.mcap", "rollouts_00001.mcap"]
     first = int(runs[0]["done"].sum())
     for index, whole in ((0, runs[0]), (first, runs[1])):
-        entry = log.episodes[index]
-        rows = slice(int(entry["start_step"]), int(entry["end_step"]) + 1)
-        expected = whole["state", "position_w"][rows, int(entry["env_id"])]
+        entry = log.episodes.row(index, named=True)
+        rows = slice(entry["start_step"], entry["end_step"] + 1)
+        expected = whole["state", "position_w"][rows, entry["env_id"]]
         assert torch.equal(log.episode(index)["state", "position_w"], expected)
 
 

@@ -1,0 +1,40 @@
+"""Which files a path means: one recording, a folder of them, a run, or a pattern."""
+
+from collections.abc import Iterator
+from glob import glob
+from pathlib import Path
+
+from resc.errors import RecordingError
+from resc.recording.segments import ACTIVE, PATTERN
+
+FOLDER = "rollouts"
+"""Where a run keeps its recordings."""
+
+
+def recordings_at(location: str | Path) -> list[Path]:
+    """The recorded files at a path or matching a pattern, in order, each once.
+
+    Raises:
+        RecordingError: There are none.
+    """
+    path = Path(location)
+    matches = [path] if path.exists() else map(Path, glob(str(location), recursive=True))
+    # runs/latest is another name of a run: the same file is not read twice.
+    found = {file.resolve(): file for match in matches for file in _recordings_in(match)}
+    if not found:
+        raise RecordingError(
+            f"No recording at {location}; give an .mcap file, a folder that holds {PATTERN} or a "
+            f"run's folder '{FOLDER}', or a pattern."
+        )
+    return sorted(found.values())
+
+
+def _recordings_in(path: Path) -> Iterator[Path]:
+    if not path.is_dir():
+        yield path
+        return
+    for folder in (path, path / FOLDER):
+        found = [*folder.glob(PATTERN), *folder.glob(PATTERN + ACTIVE)]
+        yield from found
+        if found:
+            return

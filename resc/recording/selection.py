@@ -1,0 +1,129 @@
+"""Some episodes of a recording: filtered, one after the other, or as one table."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+import torch
+from jaxtyping import Int
+from omegaconf import Container
+from polars.exceptions import PolarsError
+from tensordict import TensorDict
+
+from resc.build import nearest
+from resc.errors import RecordingError
+from resc.recording.decode import ranges, to_tensordict
+from resc.recording.tables import as_pandas, step_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from resc.recording.reader import RolloutLog
+
+TRAJECTORY = ("collector", "traj_ids")
+"""Where TorchRL's samplers look for the number of the episode that a step belongs to."""
+_MOST_AT_ONCE = 1024
+
+
+class Selection:
+    """Episodes of a recording that meet a condition; made by `where`.
+
+    Episodes keep their numbers: `index` in the table is what `episode` takes, here as in the log.
+    Iterating yields the steps `[T]` of one episode after the other, in the order of the table.
+
+    Args:
+        log: The whole recording.
+        episodes: Rows of its table of episodes.
+    """
+
+    def __init__(self, log: "RolloutLog", episodes: pl.DataFrame) -> None:
+        self._log = log
+        self.episodes = episodes
+
+    @property
+    def config(self) -> Container:
+        """The configuration of the run."""
+        return self._log.config
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Facts about the run."""
+        return self._log.metadata
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    def __iter__(self) -> Iterator[TensorDict]:
+        numbers, start, size = self._numbers, 0, 1
+        while start < len(numbers):
+            records, counts = self._log.steps_of(numbers[start : start + size])
+            steps = to_tensordict(self._log.columns, records)
+            yield from steps.split(counts.tolist())
+            # The first episode comes at once, the others in groups: a batch holds parts of many.
+            start, size = start + size, min(2 * size, _MOST_AT_ONCE)
+
+    def episode(self, index: int) -> TensorDict:
+        """The steps `[T]` of one of these episodes, by its `index`."""
+        if index not in self._numbers:
+            raise RecordingError(
+                f"Episode {index} is not among these {len(self)}; take numbers from the column "
+                "'index' of episodes."
+            )
+        return self._log.episode(index)
+
+    def where(self, *conditions: pl.Expr, **equal: object) -> "Selection":
+        """Those of these episodes that meet all conditions.
+
+        `log.where(pl.col("length") > 100, outcome="collision")`
+
+        Raises:
+            RecordingError: A condition names no column, or an outcome that there is none of.
+        """
+        table = self.episodes
+        for name, value in equal.items():
+            if name not in table.columns:
+                raise RecordingError(f"Episodes have no '{name}'.{nearest(name, table.columns)}")
+            kind = table.schema[name]
+            if isinstance(kind, pl.Enum) and value not in kind.categories:
+                known = kind.categories.to_list()
+                raise RecordingError(f"No {name} is '{value}'.{nearest(str(value), known)}")
+        wanted = [pl.col(name) == value for name, value in equal.items()]
+        try:
+            return Selection(self._log, table.filter(*conditions, *wanted))
+        except PolarsError as error:
+            raise RecordingError(
+                f"Episodes cannot be filtered like this: {str(error).splitlines()[0]}."
+            ) from error
+
+    def to_tensordict(self) -> TensorDict:
+        """The steps of all these episodes, one after the other, `[S]`.
+
+        The `index` of each one's episode is under `("collector", "traj_ids")`.
+        """
+        records, counts = self._log.steps_of(self._numbers)
+        steps = to_tensordict(self._log.columns, records)
+        return steps.set(TRAJECTORY, torch.from_numpy(np.repeat(self._numbers, counts)))
+
+    def to_polars(self) -> pl.DataFrame:
+        """One row per step of these episodes, one column per component: `state.position_w.x`.
+
+        Before them `index` and `episode` (see `episodes`), `env_id` and control `step`.
+        """
+        records, counts = self._log.steps_of(self._numbers)
+        about = {
+            name: np.repeat(self.episodes[name].to_numpy(), counts)
+            for name in ("index", "env_id", "episode")
+        }
+        starts = self.episodes["start_step"].to_numpy()
+        about["step"] = np.repeat(starts, counts) + ranges(counts)
+        values = [records[name].copy() for name in records.dtype.names or ()]
+        return step_table(self._log.columns, about, values)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """As `to_polars`, for pandas."""
+        return as_pandas(self.to_polars())
+
+    @property
+    def _numbers(self) -> Int[np.ndarray, " e"]:
+        return self.episodes["index"].to_numpy()
