@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from resc.errors import RecordingError
 from resc.recording.schema import SCHEMA_NAMES, schema_data
-from resc.recording.specification import Specification, require
+from resc.recording.specification import Specification, require, sealed
 
 ACTIVE = ".active"
 PATTERN = "rollouts_*.mcap"
@@ -98,7 +98,7 @@ class Segment:
     def _start(self, head: FileHead) -> None:
         writer, columns = self._writer, head.specification.columns
         writer.start(profile="", library="resc")
-        writer.add_metadata("resc.run", dict(head.metadata))
+        writer.add_metadata("resc.run", sealed(head.metadata))
         writer.add_metadata("resc.spec", head.specification.to_metadata())
         for name, data in head.attachments.items():
             media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"

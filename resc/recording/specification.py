@@ -1,13 +1,18 @@
 """What every file of a recording says about itself: the metadata record `resc.spec`."""
 
 import json
+import zlib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 
 from resc.errors import ConfigError, RecordingError
 from resc.recording.schema import DTYPE_NAMES, Column, column_tree
 
-FORMAT = "2"
+FORMAT = "3"
 """Version of the file layout; a reader refuses any other."""
+
+
+_SEAL = "crc32"
 
 
 def require(fine: bool, name: str, value: object, expected: str) -> None:
@@ -47,12 +52,13 @@ class Specification:
         return round(self.dt_s * 1e9)
 
     def to_metadata(self) -> dict[str, str]:
-        """The flat strings of an MCAP metadata record; all values but `format` are JSON."""
+        """The flat strings of an MCAP metadata record; all but `format` and `crc32` are JSON."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         values["columns"] = [
             asdict(column) | {"dtype": column.dtype_name} for column in self.columns
         ]
-        return {"format": FORMAT} | {name: json.dumps(value) for name, value in values.items()}
+        texts = {name: json.dumps(value) for name, value in values.items()}
+        return sealed({"format": FORMAT} | texts)
 
     @classmethod
     def from_metadata(cls, metadata: dict[str, str], origin: str) -> "Specification":
@@ -62,6 +68,7 @@ class Specification:
                 f"{origin} has recording format {metadata.get('format')}, and this RESC reads "
                 f"format {FORMAT}. Read it with the version that wrote it (metadata 'resc.run')."
             )
+        metadata = unsealed(metadata, "resc.spec", origin)
         values = {field.name: json.loads(metadata[field.name]) for field in fields(cls)}
         values["columns"] = tuple(_column(**entry) for entry in values["columns"])
         values["outcomes"] = tuple(values["outcomes"])
@@ -72,3 +79,20 @@ def _column(
     key: list[str], components: list[str], dtype: str, shape: list[int], **rest: str
 ) -> Column:
     return Column(tuple(key), tuple(components), DTYPE_NAMES[dtype], shape=tuple(shape), **rest)
+
+
+def sealed(metadata: Mapping[str, str]) -> dict[str, str]:
+    """Entries of a metadata record and their checksum, for which MCAP has no place."""
+    return {**metadata, _SEAL: _checksum(metadata)}
+
+
+def unsealed(metadata: Mapping[str, str], name: str, origin: str) -> dict[str, str]:
+    """The entries without their checksum, which must be right, of the record `name` of a file."""
+    entries = {key: value for key, value in metadata.items() if key != _SEAL}
+    if metadata and metadata.get(_SEAL) != _checksum(entries):
+        raise RecordingError(f"{origin}: the metadata '{name}' is damaged; copy the file again.")
+    return entries
+
+
+def _checksum(metadata: Mapping[str, str]) -> str:
+    return f"{zlib.crc32(json.dumps(sorted(metadata.items())).encode()):08x}"

@@ -1,0 +1,256 @@
+"""The records of an MCAP file, nothing taken on trust: lengths bounded, checksums checked.
+
+The layout is that of https://mcap.dev/spec. The readers of `mcap` allocate what a damaged length
+asks for, and leave the checksums of summary and attachments unread.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import IO
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+
+_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+_FOOTER_BYTES = _HEAD.size + 20
+_CHUNK_HEAD_BYTES = _HEAD.size + 48  # up to the data, as long as the codec's name has 8 letters
+_CHECKSUM_BYTES = 4
+
+
+class DamagedError(ValueError):
+    """Bytes that are not what their format says."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a record lies in its file, its head included."""
+
+    offset: int
+    length: int
+
+
+@dataclass(frozen=True)
+class ChunkRef:
+    """Where a chunk lies in its file, and which messages it holds."""
+
+    channels: frozenset[int]
+    start_time: int
+    end_time: int
+    offset: int
+    length: int
+    compressed: int
+    size: int
+    codec: str
+
+
+@dataclass
+class Contents:
+    """What a file holds, and where."""
+
+    complete: bool
+    topics: dict[str, int] = field(default_factory=dict)
+    chunks: list[ChunkRef] = field(default_factory=list)
+    metadata: list[Place] = field(default_factory=list)
+    attachments: list[Place] = field(default_factory=list)
+
+
+class _Fields:
+    """The fields of a record, one after the other, and never past its end."""
+
+    def __init__(self, data: bytes | memoryview) -> None:
+        self._data, self._at = memoryview(data), 0
+
+    def take(self, size: int) -> memoryview:
+        start, self._at = self._at, self._at + size
+        require(self._at <= len(self._data))
+        return self._data[start : self._at]
+
+    def number(self, size: int = 8) -> int:
+        return int.from_bytes(self.take(size), "little")
+
+    def text(self) -> str:
+        return bytes(self.take(self.number(4))).decode()
+
+    def block(self) -> "_Fields":
+        return _Fields(self.take(self.number(4)))
+
+    @property
+    def left(self) -> int:
+        return len(self._data) - self._at
+
+
+def require(fine: bool) -> None:
+    """Raise `DamagedError` unless `fine`."""
+    if not fine:
+        raise DamagedError
+
+
+def read_record(file: IO[bytes], place: Place, opcode: Opcode) -> memoryview:
+    """The content of a record that must be of this kind."""
+    file.seek(place.offset)
+    data = file.read(place.length)
+    require(len(data) == place.length >= _HEAD.size)
+    require(_HEAD.unpack_from(data) == (opcode, place.length - _HEAD.size))
+    return memoryview(data)[_HEAD.size :]
+
+
+def read_metadata(file: IO[bytes], place: Place) -> tuple[str, dict[str, str]]:
+    """Name and entries of a metadata record; the format has no checksum of them."""
+    fields = _Fields(read_record(file, place, Opcode.METADATA))
+    name, block, entries = fields.text(), fields.block(), {}
+    while block.left:
+        entry = block.text()
+        entries[entry] = block.text()
+    return name, entries
+
+
+def read_attachment(file: IO[bytes], place: Place) -> tuple[str, bytes]:
+    """Name and content of an attachment."""
+    content = read_record(file, place, Opcode.ATTACHMENT)
+    fields = _Fields(content)
+    fields.take(16)  # log time, creation time
+    name, _ = fields.text(), fields.text()
+    data = bytes(fields.take(fields.number()))
+    require(zlib.crc32(content[:-_CHECKSUM_BYTES]) == fields.number(_CHECKSUM_BYTES))
+    return name, data
+
+
+def read_chunk(file: IO[bytes], chunk: ChunkRef) -> bytes:
+    """The messages of a chunk and what lies between them, uncompressed."""
+    record = read_record(file, Place(chunk.offset, chunk.length), Opcode.CHUNK)
+    fields = _Fields(record)
+    start, end, size = fields.number(), fields.number(), fields.number()
+    checksum, codec, compressed = fields.number(_CHECKSUM_BYTES), fields.text(), fields.number()
+    found = (start, end, size, codec, compressed)
+    require(found == (chunk.start_time, chunk.end_time, chunk.size, chunk.codec, chunk.compressed))
+    data = _uncompressed(fields.take(compressed), codec, size)
+    # RESC always writes the checksum; a zero, which stands for none, is a checksum like any other.
+    require(len(data) == size and zlib.crc32(data) == checksum)
+    return data
+
+
+def _uncompressed(data: memoryview, codec: str, size: int) -> bytes:
+    # The frame's own idea of its size comes first: that much memory is taken for it.
+    try:
+        if codec == "zstd":
+            require(zstandard.get_frame_parameters(data).content_size == size)
+            return zstandard.decompress(data, size)
+        if codec == "lz4":
+            require(lz4.frame.get_frame_info(data)["content_size"] == size)
+            return lz4.frame.decompress(data)
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:  # lz4 raises RuntimeError
+        raise DamagedError from error
+    require(codec == "")
+    return bytes(data)
+
+
+def read_summary(file: IO[bytes], size: int) -> Contents:
+    """Contents of a complete file of `size` bytes."""
+    footer_at = size - len(MCAP0_MAGIC) - _FOOTER_BYTES
+    require(footer_at > len(MCAP0_MAGIC))
+    footer = read_record(file, Place(footer_at, _FOOTER_BYTES), Opcode.FOOTER)
+    require(file.read() == MCAP0_MAGIC)
+    start, checksum = int.from_bytes(footer[:8], "little"), int.from_bytes(footer[-4:], "little")
+    require(len(MCAP0_MAGIC) < start < footer_at)
+    file.seek(start)
+    data = file.read(footer_at + _FOOTER_BYTES - _CHECKSUM_BYTES - start)
+    require(zlib.crc32(data) == checksum)
+    contents, fields = Contents(complete=True), _Fields(data[: footer_at - start])
+    while fields.left:
+        opcode, length = fields.number(1), fields.number()
+        _add_summary(contents, opcode, _Fields(fields.take(length)))
+    return contents
+
+
+def _add_summary(contents: Contents, opcode: int, fields: _Fields) -> None:
+    if opcode == Opcode.CHANNEL:
+        number = fields.number(2)
+        fields.number(2)  # its schema
+        contents.topics[fields.text()] = number
+    elif opcode == Opcode.CHUNK_INDEX:
+        start, end, offset, length = (fields.number() for _ in range(4))
+        indexes, channels = fields.block(), set()
+        while indexes.left:
+            channels.add(indexes.number(2))
+            indexes.number()  # where its index is
+        fields.number()  # length of all indexes
+        codec, compressed, size = fields.text(), fields.number(), fields.number()
+        chunk = ChunkRef(frozenset(channels), start, end, offset, length, compressed, size, codec)
+        contents.chunks.append(chunk)
+    elif opcode == Opcode.METADATA_INDEX:
+        contents.metadata.append(Place(fields.number(), fields.number()))
+    elif opcode == Opcode.ATTACHMENT_INDEX:
+        contents.attachments.append(Place(fields.number(), fields.number()))
+
+
+def scan(file: IO[bytes], size: int) -> Contents:
+    """Contents of a file without a summary, up to where it was cut or its records make no sense.
+
+    A chunk counts once its index is there: one without was still being written.
+    """
+    contents, chunk = Contents(complete=False), None
+    for opcode, place in _records(file, size):
+        if opcode == Opcode.METADATA:
+            contents.metadata.append(place)
+        elif opcode == Opcode.ATTACHMENT:
+            contents.attachments.append(place)
+        elif opcode == Opcode.CHUNK:
+            chunk = place
+        elif opcode == Opcode.MESSAGE_INDEX and chunk is not None:
+            with suppress(ValueError):  # they contradict each other: one of them is damaged
+                contents.chunks.append(_indexed(file, chunk, place))
+            chunk = None
+        elif opcode == Opcode.DATA_END:
+            break
+    if contents.chunks:
+        contents.topics = _topics(read_chunk(file, contents.chunks[0]))
+    return contents
+
+
+def _records(file: IO[bytes], size: int) -> Iterator[tuple[int, Place]]:
+    offset = len(MCAP0_MAGIC)
+    while offset + _HEAD.size <= size:
+        file.seek(offset)
+        head = file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            return
+        opcode, length = _HEAD.unpack(head)
+        place = Place(offset, _HEAD.size + length)
+        offset += place.length
+        if opcode == 0 or offset > size:
+            return
+        yield opcode, place
+
+
+def _indexed(file: IO[bytes], chunk: Place, index: Place) -> ChunkRef:
+    """A chunk, from its own head and from the index after it, which must agree."""
+    fields = _Fields(read_record(file, index, Opcode.MESSAGE_INDEX))
+    channel, entries = fields.number(2), fields.take(fields.number(4))
+    times = np.frombuffer(entries, "<u8").reshape(-1, 2)[:, 0]
+    file.seek(chunk.offset + _HEAD.size)
+    head = _Fields(file.read(min(chunk.length, _CHUNK_HEAD_BYTES) - _HEAD.size))
+    start, end, size = head.number(), head.number(), head.number()
+    head.take(_CHECKSUM_BYTES)
+    codec, compressed = head.text(), head.number()
+    require(len(times) > 0 and (int(times.min()), int(times.max())) == (start, end))
+    channels = frozenset([channel])
+    return ChunkRef(channels, start, end, chunk.offset, chunk.length, compressed, size, codec)
+
+
+def _topics(data: bytes) -> dict[str, int]:
+    """Channel numbers by topic; the first chunk of a file lists them."""
+    topics, fields = {}, _Fields(data)
+    while fields.left:
+        opcode, length = fields.number(1), fields.number()
+        record = _Fields(fields.take(length))
+        if opcode == Opcode.CHANNEL:
+            number = record.number(2)
+            record.number(2)  # its schema
+            topics[record.text()] = number
+    return topics

@@ -1,0 +1,226 @@
+"""Damaged files: whatever is flipped or cut, what is read is right, or refused in a sentence."""
+
+import random
+import struct
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from resc.errors import RecordingError
+from resc.recording import Column, RolloutLog, RolloutRecorder
+from resc.recording.source import open_source
+
+COLUMNS = (
+    Column(("state", "position_w"), ("x", "y", "z"), torch.float32, "m", "w"),
+    Column(("reward",), (), torch.float32),
+    Column(("terminated",), (), torch.bool),
+)
+STEPS, ENVS, BATCHES = 8, 6, 4
+RUN = {"seed": "7", "task": "racing"}
+DOCUMENTS = {"config.yaml": b"seed: 7\n", "notes.txt": b"hello" * 20}
+MOST_BYTES = 1 << 26
+
+
+def rollout(number):
+    generator = torch.Generator().manual_seed(number)
+    shape = (STEPS, ENVS)
+    data = {
+        "state": {"position_w": torch.randn(*shape, 3, generator=generator)},
+        "reward": torch.full((*shape, 1), -0.25),
+        "terminated": torch.rand(*shape, 1, generator=generator) < 0.2,
+    }
+    return TensorDict(data, shape)
+
+
+def ended(number):
+    """One episode of each environment, of the length of the batch."""
+    first = number * STEPS
+    data = {
+        "env_id": torch.arange(ENVS),
+        "episode": torch.full((ENVS,), number),
+        "start_step": torch.full((ENVS,), first),
+        "end_step": torch.full((ENVS,), first + STEPS - 1),
+        "length": torch.full((ENVS,), STEPS),
+        "scene": torch.arange(ENVS) + number,
+        "outcome": torch.arange(ENVS) % 2,
+        "return_": torch.arange(ENVS) * 0.5 + number,
+        "difficulty": torch.ones(ENVS),
+        "success": torch.arange(ENVS) % 2 == 0,
+    }
+    return TensorDict(data, [ENVS])
+
+
+def scenes(number):
+    return {"boxes_w": torch.full((3, 2), float(number)), "entry": torch.arange(3)}
+
+
+def starts(number):
+    step = torch.full((ENVS,), number * STEPS)
+    return {"env_id": torch.arange(ENVS), "step": step, "state": torch.rand(ENVS, 3)}
+
+
+def write(directory, compression):
+    with RolloutRecorder(
+        compression=compression,
+        directory=directory,
+        columns=COLUMNS,
+        dt_s=0.02,
+        num_envs=ENVS,
+        metadata=RUN,
+        attachments=DOCUMENTS,
+        outcomes=("success", "collision"),
+    ) as recorder:
+        for number in range(BATCHES):
+            recorder.put_world(scenes(number), number * STEPS)
+            recorder.put(rollout(number), number * STEPS, ended(number), starts(number))
+    return (directory / "rollouts_00000.mcap").read_bytes()
+
+
+def cut(data, rng):
+    return data[: rng.randrange(len(data))]
+
+
+def flip(data, rng):
+    """1 to 8 flipped bits, all over the file."""
+    damaged = bytearray(data)
+    for _ in range(rng.choice((1, 1, 1, 2, 8))):
+        damaged[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    return bytes(damaged)
+
+
+def overwrite(data, rng):
+    """A run of zeros, of ones or of noise, as bad sectors and half-written pages leave it."""
+    start, length = rng.randrange(len(data)), rng.choice((1, 4, 8, 64, 512))
+    run = rng.choice((b"\0" * length, b"\xff" * length, rng.randbytes(length)))
+    return data[:start] + run[: len(data) - start] + data[start + length :]
+
+
+def splice(data, rng):
+    """Bytes left out or repeated."""
+    start = rng.randrange(len(data))
+    end = min(len(data), start + rng.randrange(1, 200))
+    return data[:start] + (data[end:] if rng.random() < 0.5 else data[start:end] + data[start:])
+
+
+def flip_and_cut(data, rng):
+    return flip(cut(data, rng), rng) if len(data) else data
+
+
+DAMAGE = (cut, flip, overwrite, splice, flip_and_cut)
+
+
+def readable(read):
+    """What a call gives; None where it is refused in a sentence."""
+    try:
+        return read()
+    except RecordingError as error:
+        assert len(str(error)) > 20
+        assert str(error).endswith(".")
+        return None
+
+
+def check(path):
+    """Everything the file still gives equals what was put; how many of its parts it gives."""
+    log = readable(lambda: RolloutLog(path))
+    if log is None:
+        return 0
+    assert (log.columns, log.num_envs, log.dt_s) == (COLUMNS, ENVS, 0.02)
+    assert log.metadata == RUN
+    parts = 1
+    for index, start_step in enumerate(log.start_steps):
+        found = readable(lambda index=index: log.batch(index))
+        if found is not None:
+            assert start_step % STEPS == 0
+            expected = rollout(start_step // STEPS)
+            assert all(torch.equal(found[c.key], expected[c.key]) for c in COLUMNS)
+            parts += 1
+    whole = readable(log.to_tensordict)
+    if whole is not None:
+        expected = [rollout(step // STEPS) for step in log.start_steps]
+        expected = torch.cat(expected) if expected else rollout(0)[:0]
+        assert torch.equal(whole["state", "position_w"], expected["state", "position_w"])
+        parts += 1
+    messages = readable(lambda: open_source(path).messages("/episodes"))
+    if messages is not None:
+        assert all(message in EPISODES for message in messages)
+        parts += 1
+    documents = readable(lambda: log.attachments)
+    if documents is not None:
+        assert documents.items() <= DOCUMENTS.items()
+        parts += 1
+    worlds = readable(lambda: log.worlds)
+    if worlds is not None:
+        for step, arrays in worlds:
+            assert torch.equal(arrays["boxes_w"], scenes(step // STEPS)["boxes_w"])
+        parts += 1
+    return parts
+
+
+EPISODES: set[bytes] = set()
+
+
+@pytest.fixture(scope="module", params=["zstd", "lz4", "none"])
+def whole(request, tmp_path_factory):
+    """A small recording, as bytes."""
+    directory = tmp_path_factory.mktemp(request.param)
+    data = write(directory, request.param)
+    EPISODES.update(open_source(directory / "rollouts_00000.mcap").messages("/episodes"))
+    return data
+
+
+def fuzz(data, path, cases):
+    counts = []
+    for seed in cases:
+        rng = random.Random(seed)
+        path.write_bytes(DAMAGE[seed % len(DAMAGE)](data, rng))
+        counts.append(check(path))
+    return counts
+
+
+@pytest.fixture(autouse=True)
+def little_memory():
+    """No read may take much more memory than the file has bytes: a damaged length asks for it."""
+    import tracemalloc
+
+    tracemalloc.start()
+    yield
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < MOST_BYTES
+
+
+def test_a_whole_file_gives_everything(whole, tmp_path):
+    path = tmp_path / "whole.mcap"
+    path.write_bytes(whole)
+    assert check(path) == BATCHES + 5
+
+
+def test_damaged_files_give_what_was_put_or_a_sentence(whole, tmp_path):
+    counts = fuzz(whole, tmp_path / "damaged.mcap", range(120))
+    assert sum(counts) > 300  # and much is still read
+
+
+@pytest.mark.slow
+def test_thousands_of_damaged_files_give_what_was_put_or_a_sentence(whole, tmp_path):
+    fuzz(whole, tmp_path / "damaged.mcap", range(1000, 3000))
+
+
+@pytest.mark.slow
+def test_every_single_flipped_bit_is_found(whole, tmp_path):
+    path = tmp_path / "damaged.mcap"
+    for position in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[position] ^= 1 << position % 8
+        path.write_bytes(damaged)
+        check(path)
+
+
+def test_a_damaged_summary_costs_nothing(whole, tmp_path):
+    path = tmp_path / "damaged.mcap"
+    (start,) = struct.unpack_from("<Q", whole, len(whole) - 28)
+    for position in (start, start + 100, len(whole) - 20, len(whole) - 9, len(whole) - 1):
+        damaged = bytearray(whole)
+        damaged[position] ^= 4
+        path.write_bytes(damaged)
+        assert check(path) == BATCHES + 5
