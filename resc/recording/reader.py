@@ -16,6 +16,7 @@ from torch import Tensor
 
 from resc.errors import RecordingError
 from resc.recording import events
+from resc.recording.beginnings import scene_in_use, world_at_start
 from resc.recording.decode import (
     SPAN,
     Batch,
@@ -183,6 +184,19 @@ class RolloutLog:
         records, _ = self.steps_of(np.array([index % count]))
         return to_tensordict(self.columns, records)
 
+    def start(self, index: int) -> TensorDict:
+        """All mutable state of the simulator before the first step of entry `index`, `[]`."""
+        env_id, step, _ = self._begun(index)
+        return world_at_start(self._sources_of(index), env_id, step)
+
+    def scene(self, index: int) -> dict[str, Tensor]:
+        """The obstacles, the start and the route that entry `index` of `episodes` was flown with.
+
+        The arrays of `world`, without the axis of the pool.
+        """
+        _, step, scene = self._begun(index)
+        return scene_in_use(self._sources_of(index), scene, step)
+
     def to_tensordict(self) -> TensorDict:
         """Everything recorded, `[T_total, N]`."""
         return self._read(0, self.num_envs - 1, self._batches)
@@ -243,6 +257,20 @@ class RolloutLog:
             found.append(spans_of(self._batches, np.array(numbers, np.int64), own))
         spans = np.concatenate([np.empty(0, SPAN), *found])
         return spans[np.argsort(spans["episode"], kind="stable")]
+
+    def _begun(self, index: int) -> tuple[int, int, int]:
+        """Environment, first step and scene of an episode."""
+        count = len(self.episodes)
+        _require_index(index, -count, count, "episode", "episodes")
+        env_id, step, scene = (
+            int(self.episodes[name][index]) for name in ("env_id", "start_step", "scene")
+        )
+        return env_id, step, scene
+
+    def _sources_of(self, index: int) -> list[Source]:
+        """The files of the recorder that wrote an episode."""
+        session = self._sessions[index]
+        return [source for source in self._sources if source.specification.session == session]
 
     def _read(self, first: int, last: int, found: Sequence[Batch]) -> TensorDict:
         """All steps of environments `first` to `last` in some batches."""

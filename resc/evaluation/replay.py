@@ -1,0 +1,194 @@
+"""A recorded episode flown again: its start and scene put back, its actions taken once more.
+
+On the device and with the versions that recorded it, every number comes out again bit for bit.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+from omegaconf import OmegaConf
+from tensordict import TensorDict
+from torch import Tensor
+
+from resc import keys
+from resc.build import build_env
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.errors import ConfigError, RecordingError
+from resc.evaluation.courses import LaidOut
+from resc.evaluation.run_folder import finish_run
+from resc.keys import NestedKey
+from resc.learning.ppo import RENEWED
+from resc.math.sampling import generator_for
+from resc.recording.reader import RolloutLog
+from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS, provenance
+from resc.scenes.layout import Layout
+from resc.scenes.pool import ScenePool
+
+STATE = tuple(column.key for column in STATE_COLUMNS if column.key != keys.ACTION)
+FLAGS = (keys.TERMINATED, keys.TRUNCATED)
+OUTPUTS = (keys.REWARD, REWARD_TERMS, *FLAGS)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came of a replay.
+
+    Args:
+        location: File and episode.
+        steps: Length of the episode.
+        deviations: Largest difference to the recording, by column.
+        differing: Versions and device of the recording and of now, where they differ.
+    """
+
+    location: str
+    steps: int
+    deviations: dict[NestedKey, float]
+    differing: dict[str, tuple[str, str]]
+
+    @property
+    def largest(self) -> float:
+        """Largest deviation of any column."""
+        return max(self.deviations.values())
+
+    def report(self) -> str:
+        """A table and a sentence."""
+        names = {key: ".".join(key) for key in self.deviations}
+        width = max(len("largest deviation in"), *map(len, names.values()))
+        head = [
+            f"| {'largest deviation in':<{width}} |           |",
+            f"| {'-' * width} | --------: |",
+        ]
+        rows = [
+            f"| {names[key]:<{width}} | {value:9.3g} |" for key, value in self.deviations.items()
+        ]
+        same = self.largest == 0
+        verdict = "came out again bit for bit" if same else "came out differently"
+        lines = [*head, *rows, "", f"All {self.steps} steps of {self.location} {verdict}."]
+        for name, (then, now) in self.differing.items():
+            lines.append(f"Recorded with {name} {then}, replayed with {now}.")
+        return "\n".join(lines)
+
+
+def parse(location: str) -> tuple[Path, int]:
+    """Path and episode of FILE#EPISODE.
+
+    Raises:
+        ConfigError: It is written otherwise.
+    """
+    path, _, episode = location.rpartition("#")
+    if not path or not episode.lstrip("-").isdecimal():
+        raise ConfigError(
+            f"replay is '{location}'; expected FILE#EPISODE, such as "
+            "runs/latest/rollouts/rollouts_00000.mcap#3."
+        )
+    return Path(path), int(episode)
+
+
+def replay(location: str, folder: Path, *, allowed: Sequence[str] = ()) -> str:
+    """Flies the episode FILE#EPISODE again, compares, and leaves report and summary in the folder.
+
+    Returns the report.
+    """
+    began = time.perf_counter()
+    result = fly_again(location, allowed=allowed)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "replay.md").write_text(f"# {location}\n\n{result.report()}\n")
+    figures = {
+        "replay": location,
+        "steps": result.steps,
+        "largest_deviation": result.largest,
+        "deviations": {".".join(key): value for key, value in result.deviations.items()},
+        "wall_s": time.perf_counter() - began,
+        **provenance(),
+    }
+    finish_run(folder, figures)
+    return result.report()
+
+
+def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
+    """Flies the episode FILE#EPISODE again and compares every step with the recording.
+
+    All rows of a batch as large as the recorded one fly it, compiled if that was: a row's bits may
+    depend on both.
+
+    Raises:
+        RecordingError: The file, the episode, or how it began is not there.
+        ConfigError: The recorded configuration builds no environment today.
+    """
+    path, episode = parse(location)
+    log = RolloutLog(path)
+    recorded, world, scene = log.episode(episode), log.start(episode), log.scene(episode)
+    config = cast(dict[str, Any], OmegaConf.to_container(log.config, resolve=True))
+    config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader
+    if config["device"].startswith("cuda") and not torch.cuda.is_available():
+        config["device"] = "cpu"
+    env = _environment(config, scene, log.num_envs)
+    put_back(env, world)
+    listed = log.episodes.row(episode, named=True)
+    cut = listed["outcome"] == RENEWED
+    deviations = compare(env, recorded, listed["env_id"], cut=cut)
+    today = {**provenance(), "device": str(config["device"])}
+    differing = {
+        name: (then, today[name])
+        for name, then in log.metadata.items()
+        if name in today and name != "git_dirty" and then != today[name]
+    }
+    return Replay(location, len(recorded), deviations, differing)
+
+
+def _environment(
+    config: Mapping[str, Any], scene: Mapping[str, Tensor], num_envs: int
+) -> QuadrotorEnv:
+    """As it was recorded, with a pool of the one scene."""
+    arrays = {field.name: scene[field.name].unsqueeze(0) for field in fields(Layout)}
+    pool = ScenePool(
+        LaidOut(Layout(**arrays)),
+        size=1,
+        resolution_m=config["env"]["resolution_m"],
+        generator=generator_for(0, "scene_layout"),
+        device=config["device"],
+    )
+    return build_env({**config, "num_envs": num_envs}, pool)
+
+
+def put_back(env: QuadrotorEnv, world: TensorDict) -> None:
+    """Gives every row of the environment the recorded world, in the pool's only scene.
+
+    Raises:
+        RecordingError: The recorded world has other parts than the environment's.
+    """
+    env.restart(torch.arange(env.num_envs))
+    recorded = set(world.keys(include_nested=True, leaves_only=True))
+    if recorded != set(env.stages.persistent):
+        parts = sorted(".".join(key) for key in recorded ^ set(env.stages.persistent))
+        raise RecordingError(
+            f"The recorded world and that of the simulator differ in {', '.join(parts)}; replay "
+            "with the version that recorded it (metadata 'resc.run')."
+        )
+    rows = world.expand(env.num_envs).clone().to(env.device)
+    rows[keys.SCENE_INDEX].zero_()
+    env.world = rows
+
+
+def compare(
+    env: QuadrotorEnv, recorded: TensorDict, row: int, *, cut: bool
+) -> dict[NestedKey, float]:
+    """Largest difference of a row to the recording, by column, over all steps.
+
+    Where the episode was `cut` from outside, its last flags are not the simulator's.
+    """
+    deviations = dict.fromkeys((*STATE, *OUTPUTS), 0.0)
+    for number, step in enumerate(recorded.to(env.device)):
+        found = {key: env.value_of(key) for key in STATE}
+        out = env.advance(step[keys.ACTION].expand(env.num_envs, -1))
+        found |= {key: getattr(out, key[0]) for key in OUTPUTS}
+        if cut and number == len(recorded) - 1:
+            found = {key: value for key, value in found.items() if key not in FLAGS}
+        for key, value in found.items():
+            apart = (value[row].double() - step[key].double()).abs().nan_to_num(torch.inf)
+            deviations[key] = max(deviations[key], float(apart.max()))
+    return deviations
