@@ -112,12 +112,9 @@ def batches(source: Source) -> list[Batch]:
     found = []
     chunks = source.chunks_of(ROLLOUT)
     for start_step, group in groupby(chunks, lambda chunk: chunk.start_time // dt_ns):
-        batch, expected = Batch(source, start_step, tuple(group)), start_step * dt_ns
-        for chunk in batch.chunks:
-            if chunk.start_time != expected:
-                raise _rearranged(source)
-            expected = chunk.end_time + 1
-        if expected == start_step * dt_ns + num_envs:
+        batch, origin = Batch(source, start_step, tuple(group)), start_step * dt_ns
+        starts = [chunk.start_time for chunk in batch.chunks] + [origin + num_envs]
+        if starts == [origin, *(chunk.end_time + 1 for chunk in batch.chunks)]:
             found.append(batch)
         elif source.complete:
             raise _rearranged(source)

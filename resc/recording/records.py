@@ -7,7 +7,6 @@ asks for, and leave the checksums of summary and attachments unread.
 import struct
 import zlib
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import IO
 
@@ -19,7 +18,9 @@ from mcap.writer import MCAP0_MAGIC
 
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _FOOTER_BYTES = _HEAD.size + 20
-_CHUNK_HEAD_BYTES = _HEAD.size + 48  # up to the data, as long as the codec's name has 8 letters
+_FRAME_HEAD_BYTES = 19  # of lz4; zstd's is one byte shorter
+_CHUNK_HEAD_BYTES = _HEAD.size + 44 + _FRAME_HEAD_BYTES  # with a codec's name of 4 letters
+_CODEC_ERRORS = (zstandard.ZstdError, RuntimeError, MemoryError)  # lz4 raises RuntimeError
 _CHECKSUM_BYTES = 4
 
 
@@ -136,18 +137,27 @@ def read_chunk(file: IO[bytes], chunk: ChunkRef) -> bytes:
 
 
 def _uncompressed(data: memoryview, codec: str, size: int) -> bytes:
-    # The frame's own idea of its size comes first: that much memory is taken for it.
+    # That much memory is taken for it.
+    require(_uncompressed_size(data[:_FRAME_HEAD_BYTES], codec, len(data)) == size)
     try:
         if codec == "zstd":
-            require(zstandard.get_frame_parameters(data).content_size == size)
             return zstandard.decompress(data, size)
+        return lz4.frame.decompress(data) if codec == "lz4" else bytes(data)
+    except _CODEC_ERRORS as error:
+        raise DamagedError from error
+
+
+def _uncompressed_size(head: memoryview, codec: str, compressed: int) -> int:
+    """Bytes of compressed data once uncompressed, as it says itself at its beginning."""
+    try:
+        if codec == "zstd":
+            return zstandard.get_frame_parameters(head).content_size
         if codec == "lz4":
-            require(lz4.frame.get_frame_info(data)["content_size"] == size)
-            return lz4.frame.decompress(data)
-    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:  # lz4 raises RuntimeError
+            return lz4.frame.get_frame_info(head)["content_size"]
+    except _CODEC_ERRORS as error:
         raise DamagedError from error
     require(codec == "")
-    return bytes(data)
+    return compressed
 
 
 def read_summary(file: IO[bytes], size: int) -> Contents:
@@ -192,22 +202,25 @@ def _add_summary(contents: Contents, opcode: int, fields: _Fields) -> None:
 def scan(file: IO[bytes], size: int) -> Contents:
     """Contents of a file without a summary, up to where it was cut or its records make no sense.
 
-    A chunk counts once its index is there: one without was still being written.
+    Nothing after a damaged place counts: it would be read as if nothing had been between. A chunk
+    counts once its index is there; one without was still being written.
     """
     contents, chunk = Contents(complete=False), None
     for opcode, place in _records(file, size):
-        if opcode == Opcode.METADATA:
+        if (chunk is not None) != (opcode == Opcode.MESSAGE_INDEX):
+            break
+        if chunk is not None:
+            try:
+                contents.chunks.append(_indexed(file, chunk, place))
+            except ValueError:  # they contradict each other: one of them is damaged
+                break
+            chunk = None
+        elif opcode == Opcode.CHUNK:
+            chunk = place
+        elif opcode == Opcode.METADATA:
             contents.metadata.append(place)
         elif opcode == Opcode.ATTACHMENT:
             contents.attachments.append(place)
-        elif opcode == Opcode.CHUNK:
-            chunk = place
-        elif opcode == Opcode.MESSAGE_INDEX and chunk is not None:
-            with suppress(ValueError):  # they contradict each other: one of them is damaged
-                contents.chunks.append(_indexed(file, chunk, place))
-            chunk = None
-        elif opcode == Opcode.DATA_END:
-            break
     if contents.chunks:
         contents.topics = _topics(read_chunk(file, contents.chunks[0]))
     return contents
@@ -239,6 +252,8 @@ def _indexed(file: IO[bytes], chunk: Place, index: Place) -> ChunkRef:
     head.take(_CHECKSUM_BYTES)
     codec, compressed = head.text(), head.number()
     require(len(times) > 0 and (int(times.min()), int(times.max())) == (start, end))
+    beginning = head.take(min(head.left, compressed, _FRAME_HEAD_BYTES))
+    require(_uncompressed_size(beginning, codec, compressed) == size)
     channels = frozenset([channel])
     return ChunkRef(channels, start, end, chunk.offset, chunk.length, compressed, size, codec)
 

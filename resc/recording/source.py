@@ -146,21 +146,25 @@ def open_source(path: Path) -> Source | None:
             with _blaming(path, place.offset, "its description is there; copy it again"):
                 name, entries = records.read_metadata(file, place)
             metadata[name] = entries
-    if "resc.spec" not in metadata:
-        if not contents.complete and not contents.chunks:
-            return None
-        raise RecordingError(
-            f"{path} holds no metadata 'resc.spec'; RESC reads only what it recorded."
-        )
+    if "resc.spec" not in metadata and not contents.complete and not contents.chunks:
+        return None
     return Source(
         path,
-        Specification.from_metadata(metadata["resc.spec"], str(path)),
-        unsealed(metadata.get("resc.run", {}), "resc.run", str(path)),
+        Specification.from_metadata(_entries(metadata, "resc.spec", path), str(path)),
+        unsealed(_entries(metadata, "resc.run", path), "resc.run", str(path)),
         contents.topics,
         contents.chunks,
         contents.complete,
         contents.attachments,
     )
+
+
+def _entries(metadata: dict[str, dict[str, str]], name: str, path: Path) -> dict[str, str]:
+    if name not in metadata:
+        raise RecordingError(
+            f"{path} holds no metadata '{name}'; RESC reads only what it recorded."
+        )
+    return metadata[name]
 
 
 def _contents(file: IO[bytes], path: Path) -> Contents:

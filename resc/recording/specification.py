@@ -89,7 +89,7 @@ def sealed(metadata: Mapping[str, str]) -> dict[str, str]:
 def unsealed(metadata: Mapping[str, str], name: str, origin: str) -> dict[str, str]:
     """The entries without their checksum, which must be right, of the record `name` of a file."""
     entries = {key: value for key, value in metadata.items() if key != _SEAL}
-    if metadata and metadata.get(_SEAL) != _checksum(entries):
+    if metadata.get(_SEAL) != _checksum(entries):
         raise RecordingError(f"{origin}: the metadata '{name}' is damaged; copy the file again.")
     return entries
 
