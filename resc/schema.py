@@ -89,6 +89,8 @@ class EvaluateSchema(RunSchema):
         policy: Folder of a shipped policy or of a finished training run.
         scenes: Files of conf/scene to fly.
         flights: Flights per scene.
+        scene_files: First flights of each scene written as 3-D scenes, beside the best and the
+            worst; 0 for none. There are none without a recorder.
         seed: Of starts and random scenes; training never uses this one.
         compile: Compile the step; pays off only for many thousand flights.
     """
@@ -99,6 +101,7 @@ class EvaluateSchema(RunSchema):
     policy: str = "policies/obstacles"
     scenes: list[str] = field(default_factory=list)
     flights: int = 20
+    scene_files: int = 1
 
 
 def register() -> None:

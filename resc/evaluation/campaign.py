@@ -7,11 +7,13 @@ from typing import Any, cast
 
 from omegaconf import OmegaConf
 
+from resc.errors import ConfigError, RecordingError
 from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.flights import Flights, fly
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
 from resc.evaluation.run_folder import finish_run
+from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.evaluation.statistics import join, report_scenes, tabulate
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
@@ -19,7 +21,7 @@ from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
 from resc.recording.rollouts import open_recorder, provenance
 
-ROLLOUTS = "rollouts"
+ROLLOUTS, SCENES = "rollouts", "scenes"
 Settings = Mapping[str, Any]
 
 
@@ -31,8 +33,11 @@ def evaluate(config: Settings, policy: Policy, scenes: Mapping[str, Settings], f
     Raises:
         PlanningError: A flight has no path.
         CheckpointError: The policy expects another observation than its configuration describes.
+        ConfigError: A number is out of range.
     """
     began = time.perf_counter()
+    if config["scene_files"] < 0:
+        raise ConfigError(f"scene_files is {config['scene_files']}; expected 0 or more.")
     stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
     planner = planner_for({**config, "env": config["env"] or stored["env"]})
     allowed = config["allowed_targets"]
@@ -58,6 +63,7 @@ def evaluate(config: Settings, policy: Policy, scenes: Mapping[str, Settings], f
     write_flights(join(tables), folder / "flights.csv")
     text = f"{markdown(reports)}\n{failures(reports)}".rstrip() + "\n"
     (folder / "report.md").write_text(f"# {config['policy']}\n\n{text}")
+    told = _write_scenes(config, courses, folder)
     frames = sum(flights.frames for flights in flown.values())
     flying_s = {flights.wall_s for flights in flown.values()}
     figures = {
@@ -70,7 +76,7 @@ def evaluate(config: Settings, policy: Policy, scenes: Mapping[str, Settings], f
         **provenance(),
     }
     finish_run(folder, figures)
-    return f"{text}\n{_left_in(folder)}"
+    return f"{text}\n{_left_in(folder, told)}"
 
 
 def fly_courses(
@@ -85,13 +91,20 @@ def fly_courses(
         folder: Where the recordings go, each set of rules in one of its own.
     """
     flown: dict[str, Flights] = {}
-    for own_routes, settings in rules.items():
+    for directory, group in _flown_together(courses, folder).items():
+        flown |= _fly_together(group, policy, rules[group[0].own_routes], directory)
+    return flown
+
+
+def _flown_together(courses: Sequence[Course], folder: Path) -> dict[Path, list[Course]]:
+    """The courses that share their rules, by where they are recorded."""
+    groups = {}
+    for own_routes in (False, True):
         group = [course for course in courses if course.own_routes == own_routes]
         if group:
             mixed = len(group) < len(courses) and own_routes
-            directory = folder / (f"{ROLLOUTS}_own_routes" if mixed else ROLLOUTS)
-            flown |= _fly_together(group, policy, settings, directory)
-    return flown
+            groups[folder / (f"{ROLLOUTS}_own_routes" if mixed else ROLLOUTS)] = group
+    return groups
 
 
 def _fly_together(
@@ -118,8 +131,22 @@ def _fly_together(
     return flown
 
 
-def _left_in(folder: Path) -> str:
-    """The files of a run, with what they are."""
+def _write_scenes(config: Settings, courses: Sequence[Course], folder: Path) -> str:
+    """Writes the 3-D scenes; returns what to say of them, nothing if there are none."""
+    try:
+        written = write_scene_files(
+            _flown_together(courses, folder),
+            folder / SCENES,
+            first=config["scene_files"],
+            allowed=config["allowed_targets"],
+        )
+    except RecordingError as error:
+        return f"No (more) 3-D scenes: {error}"
+    return f"{len(written)} 3-D scenes for Foxglove" if written else ""
+
+
+def _left_in(folder: Path, told: str) -> str:
+    """The files of a run, with what they are; `told` is about the 3-D scenes."""
     recordings = sorted(folder.glob(f"{ROLLOUTS}*"))
     lines = [
         ("report", folder / "report.md"),
@@ -129,7 +156,10 @@ def _left_in(folder: Path) -> str:
         ("picture", folder / "flights.png"),
         *(("recording", directory) for directory in recordings),
     ]
-    return "\n".join(f"{label:<10}{_near(path)}" for label, path in lines)
+    if (folder / SCENES).exists():
+        lines.append(("scenes", folder / SCENES))
+    listed = [f"{label:<10}{_near(path)}" for label, path in lines]
+    return "\n".join([*listed, *([told] if told else [])])
 
 
 def _near(path: Path) -> Path:
