@@ -15,9 +15,9 @@ from resc.recording.specification import Specification
 Leaves = dict[tuple[str, ...], Tensor]
 
 
-def column_leaves(batch: TensorDictBase, specification: Specification) -> Leaves:
-    """The recorded leaves of a batch `[T, N]`."""
-    num_envs, shape = specification.num_envs, list(batch.batch_size)
+def column_leaves(batch: TensorDictBase, specification: Specification, num_envs: int) -> Leaves:
+    """The recorded leaves of a batch `[T, N]`, of the recorded environments."""
+    shape = list(batch.batch_size)
     if len(shape) != 2 or shape[0] == 0 or shape[1] != num_envs:
         raise RecordingError(
             f"A batch of shape {shape} was put; expected [T, {num_envs}], time first and not empty."
@@ -35,7 +35,7 @@ def column_leaves(batch: TensorDictBase, specification: Specification) -> Leaves
                 f"{column.key} is {found[0]} {found[1]} in the batch and {expected[0]} "
                 f"{expected[1]} in the columns; make them agree."
             )
-        leaves[column.key] = leaf
+        leaves[column.key] = leaf[:, : specification.num_envs]
     return leaves
 
 

@@ -1,6 +1,7 @@
 """The files of a recording: one MCAP at a time, rotated by size, within a budget."""
 
 import contextlib
+import fcntl
 import logging
 import math
 import mimetypes
@@ -142,6 +143,33 @@ class Segment:
             self._file.close()
 
 
+class _Claim:
+    """A directory kept from other recorders, in this process and others, until it ends.
+
+    It ends with its process, however that ends. A file system that cannot lock directories, as some
+    network ones, keeps nobody out; there, too, no two recorders write the same file.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._descriptor)
+            raise RecordingError(
+                f"Another recorder writes to {directory}; give each run a folder of its own, or "
+                "wait until that one has ended."
+            ) from None
+        except OSError:
+            pass  # it has no locks
+
+    def end(self) -> None:
+        # Unlocked by name: a forked child may hold the descriptor for longer.
+        with contextlib.suppress(OSError):
+            fcntl.flock(self._descriptor, fcntl.LOCK_UN)
+        os.close(self._descriptor)
+
+
 class Segments:
     """All files of a recorder in one directory; their numbers go on after those already there."""
 
@@ -165,11 +193,16 @@ class Segments:
         self._rotate_bytes, self._when_full = rotate_mb * 1e6, when_full
         self._max_bytes = math.inf if max_gb is None else max_gb * 1e9
         directory.mkdir(parents=True, exist_ok=True)
+        self._claim = _Claim(directory)
         self._sizes = {path: path.stat().st_size for path in sorted(directory.glob(_NUMBERED))}
         self._full = when_full == "stop" and sum(self._sizes.values()) >= self._max_bytes
         self._pinned: tuple[str, Callable[[], bytes]] | None = None
         self._active: Segment | None = None
-        self._activate()
+        try:
+            self._activate()
+        except BaseException:
+            self._claim.end()
+            raise
 
     def _activate(self) -> Segment:
         """The file being written; the next one where the last is complete."""
@@ -232,3 +265,7 @@ class Segments:
         if self._active is not None:
             self._active.abandon()
             self._active = None
+
+    def release(self) -> None:
+        """Let others record in the directory; nothing is written after it."""
+        self._claim.end()

@@ -2,9 +2,10 @@
 
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 
+from resc.build import nearest
 from resc.errors import ConfigError, RecordingError
 from resc.recording.schema import DTYPE_NAMES, Column, column_tree
 
@@ -79,6 +80,21 @@ def _column(
     key: list[str], components: list[str], dtype: str, shape: list[int], **rest: str
 ) -> Column:
     return Column(tuple(key), tuple(components), DTYPE_NAMES[dtype], shape=tuple(shape), **rest)
+
+
+def chosen_columns(columns: Sequence[Column], fields: Sequence[str]) -> tuple[Column, ...]:
+    """The columns whose dotted key is one of `fields`, or begins with one of them.
+
+    Raises:
+        ConfigError: A field is no column, or there is none.
+    """
+    names = [".".join(column.key) for column in columns]
+    known = {".".join(c.key[: depth + 1]) for c in columns for depth in range(len(c.key))}
+    for name in fields:
+        if name not in known:
+            raise ConfigError(f"recorder.fields has no '{name}'.{nearest(name, known)}")
+    chosen = tuple(f"{name}." for name in fields)
+    return tuple(c for c, name in zip(columns, names, strict=True) if f"{name}.".startswith(chosen))
 
 
 def sealed(metadata: Mapping[str, str]) -> dict[str, str]:

@@ -30,7 +30,7 @@ from resc.recording.batches import (
 )
 from resc.recording.schema import ARRAY_FIELDS, EPISODES, ROLLOUT, STARTS, WORLD, Column
 from resc.recording.segments import FileHead, Segments
-from resc.recording.specification import Specification, require
+from resc.recording.specification import Specification, chosen_columns, require
 
 _QUEUE_DEPTH = 2
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -52,6 +52,9 @@ class RolloutRecorder:
         when_full: At the budget, the next `put` raises, or the oldest complete files are deleted.
         round_bits: Mantissa bits kept of float32 values (1 to 22); None records them exactly.
         every_n_batches: Record one batch in so many; finished episodes are always listed.
+        envs: Record only the first so many environments and their episodes; None records all.
+        fields: Record only these columns: keys joined by dots, or their first parts, such as
+            `state.position_w` or `state`; None records all.
         directory: Where the files go; created if missing, files already there are kept.
         columns: What is recorded of each batch.
         dt_s: Control step [s].
@@ -70,6 +73,8 @@ class RolloutRecorder:
         when_full: Literal["stop", "delete_oldest"] = "stop",
         round_bits: int | None = None,
         every_n_batches: int = 1,
+        envs: int | None = None,
+        fields: Sequence[str] | None = None,
         directory: Path,
         columns: Sequence[Column],
         dt_s: float,
@@ -78,9 +83,12 @@ class RolloutRecorder:
         attachments: Mapping[str, bytes],
         outcomes: Sequence[str] = (),
     ) -> None:
+        expected = f"1 to num_envs ({num_envs}), or null"
+        require(envs is None or 1 <= envs <= num_envs, "envs", envs, expected)
+        self._num_envs = num_envs
         self._specification = Specification(
-            columns=tuple(columns),
-            num_envs=num_envs,
+            columns=tuple(columns) if fields is None else chosen_columns(columns, fields),
+            num_envs=num_envs if envs is None else envs,
             dt_s=dt_s,
             outcomes=tuple(outcomes),
             round_bits=round_bits,
@@ -131,9 +139,9 @@ class RolloutRecorder:
         right after it: `env_id` and `step` [S], and any arrays [S, ...] that say how.
         """
         self._check_open()
-        begun = _array_leaves(starts or {}, "Starts")
-        rollout = column_leaves(batch, self._specification)
-        ended = episode_leaves(episodes) if episodes is not None and len(episodes) > 0 else {}
+        begun = self._of_recorded(_array_leaves(starts or {}, "Starts"))
+        rollout = column_leaves(batch, self._specification, self._num_envs)
+        ended = self._of_recorded(episode_leaves(episodes)) if episodes is not None else {}
         if start_step < self._next_step:
             raise RecordingError(
                 f"A batch starts at step {start_step}, before step {self._next_step} where the "
@@ -190,6 +198,13 @@ class RolloutRecorder:
                 raise
             error.add_note(str(failure))  # the first error is the one to read
 
+    def _of_recorded(self, leaves: Leaves) -> Leaves:
+        """The rows of recorded environments; nothing where there are none."""
+        if leaves and self._specification.num_envs < self._num_envs:
+            rows = leaves[("env_id",)] < self._specification.num_envs
+            leaves = {key: leaf[rows.to(leaf.device)] for key, leaf in leaves.items()}
+        return leaves if leaves and len(leaves[("env_id",)]) > 0 else {}
+
     def _check_open(self) -> None:
         self._raise_error()
         if self._closing:
@@ -211,9 +226,14 @@ class RolloutRecorder:
                 "before stay readable. Free some space, or record less with recorder.max_gb, "
                 "recorder.round_bits or recorder.every_n_batches."
             )
+        if isinstance(error, OSError):
+            return (
+                f"Recording to {self._directory} failed: {error.strerror}; the {self._written} "
+                "batches before stay readable. Check the folder, its permissions and its disk."
+            )
         return (
             f"Recording to {self._directory} failed with {error!r}; the {self._written} batches "
-            "before stay readable. Check recorder.directory and what is put into the recorder."
+            "before stay readable. Check what is put into the recorder."
         )
 
     def _run(self) -> None:
@@ -222,6 +242,7 @@ class RolloutRecorder:
             self._attempt(job)
             self._queue.task_done()
         self._attempt(self._segments.finish)
+        self._segments.release()
 
     def _attempt(self, job: Callable[[], None]) -> None:
         if self._error is not None:

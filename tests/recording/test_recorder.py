@@ -3,6 +3,7 @@
 import errno
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -218,17 +219,110 @@ def test_the_first_error_is_the_one_that_is_raised(tmp_path, monkeypatch):
 
 def test_a_directory_that_cannot_be_written_is_an_error_at_once(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingError, match="failed with"):
+    with pytest.raises(RecordingError, match=r"file failed: File exists; .* Check the folder"):
         recorder(tmp_path / "file")
+    with pytest.raises(RecordingError, match="folder failed: Not a directory"):
+        recorder(tmp_path / "file" / "folder")
     monkeypatch.setattr(os, "write", FullDisk(100))
     with pytest.raises(RecordingError, match="is full"):
         recorder(tmp_path / "new")
     assert not list((tmp_path / "new").iterdir())
 
 
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 256 kB, where one may be mounted."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", folder]
+    if not shutil.which("mount") or subprocess.run(command, capture_output=True).returncode != 0:
+        pytest.skip("no disk can be mounted here")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_really_full_disk_leaves_what_was_written(small_disk):
+    target = recorder(small_disk / "rollouts", 64, compression="none")
+    with pytest.raises(RecordingError, match=r"full; the \d+ batches before stay .* Free"):
+        put_many(target, 100, 64)
+    target.close()
+    assert target.batches_written > 5
+    assert_holds(RolloutLog(small_disk / "rollouts"), target.batches_written, 10, 64)
+
+
+def test_a_really_read_only_folder_is_an_error_at_once(small_disk):
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    with pytest.raises(RecordingError, match="failed: Read-only file system; the 0 batches"):
+        recorder(small_disk / "rollouts")
+
+
+def test_a_second_recorder_in_a_folder_is_refused_until_the_first_has_ended(tmp_path):
+    with recorder(tmp_path) as first:
+        first.put(rollout(0), 0)
+        with pytest.raises(RecordingError, match=r"Another recorder writes to .* of its own"):
+            recorder(tmp_path)
+        first.put(rollout(1), 10)
+    with recorder(tmp_path):
+        pass
+    assert [path.name for path in RolloutLog(tmp_path).files] == [
+        "rollouts_00000.mcap",
+        "rollouts_00001.mcap",
+    ]
+    assert_holds(RolloutLog(tmp_path / "rollouts_00000.mcap"), 2)
+
+
+def test_a_recorder_that_failed_lets_go_of_its_folder(tmp_path, monkeypatch):
+    target = recorder(tmp_path, 64)
+    with monkeypatch.context() as full:
+        full.setattr(os, "write", FullDisk(4000))
+        with pytest.raises(RecordingError, match="is full"):
+            put_and_fail_to_close(target)
+        with pytest.raises(RecordingError, match="is full"):
+            recorder(tmp_path)
+    recorder(tmp_path).close()
+
+
+def put_and_fail_to_close(target):
+    target.put(rollout(0, 10, 64), 0)
+    target.close()
+
+
+def test_the_first_environments_alone_are_recorded(tmp_path):
+    ended = episodes(4, env_id=torch.tensor([3, 0, 2, 1]))
+    starts = {"env_id": torch.tensor([2, 1]), "step": torch.tensor([5, 6])}
+    with recorder(tmp_path, envs=2) as target:
+        target.put(rollout(0), 0, ended, starts)
+        target.put(rollout(1), 10, episodes(1, env_id=torch.tensor([3])), starts)
+        with pytest.raises(RecordingError, match=r"shape \[10, 2\] was put; expected \[T, 4\]"):
+            target.put(rollout(2, num_envs=2), 20)
+    log = RolloutLog(tmp_path)
+    assert log.num_envs == 2
+    assert log.episodes["env_id"].to_list() == [0, 1]
+    for number in range(2):
+        expected = rollout(number)[:, :2]["state", "position_w"]
+        assert torch.equal(log.batch(number)["state", "position_w"], expected)
+
+
+def test_chosen_columns_alone_are_recorded(tmp_path):
+    with recorder(tmp_path / "a", fields=["state.position_w"]) as target:
+        put_many(target, 2)
+    log = RolloutLog(tmp_path / "a")
+    assert [column.key for column in log.columns] == [("state", "position_w")]
+    assert torch.equal(log.batch(1)["state", "position_w"], rollout(1)["state", "position_w"])
+    with recorder(tmp_path / "b", fields=["next", "state"]) as target:
+        put_many(target, 2)
+    assert_holds(RolloutLog(tmp_path / "b"), 2)
+    for name in ("stat", "state.position", "done"):
+        with pytest.raises(ConfigError, match=f"recorder.fields has no '{name}'. Did you mean"):
+            recorder(tmp_path / "c", fields=[name])
+
+
 @pytest.mark.parametrize(
     ("options", "name"),
     [
+        ({"envs": 5}, "envs"),
+        ({"envs": 0}, "envs"),
+        ({"fields": []}, "columns"),
         ({"compression": "gzip"}, "compression"),
         ({"when_full": "panic"}, "when_full"),
         ({"rotate_mb": 0}, "rotate_mb"),
@@ -295,11 +389,14 @@ CHILD = """
 import os, resource, signal, sys
 import test_recorder as t
 
-def write(directory):
-    with t.recorder(directory, 64) as target:
+def write(directory, **options):
+    with t.recorder(directory, 64, **options) as target:
         for number in range(100_000):
             target.put(t.rollout(number, 64, 64), number * 64)
             print(target.batches_written, flush=True)
+
+def rotate(directory):
+    write(directory, rotate_mb=0.2)
 
 def terminate(directory):
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
@@ -390,19 +487,30 @@ def children():
     started.process.wait()
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_killed_process_leaves_every_flushed_batch_readable(tmp_path, children, seed):
-    pid = children.start("write", tmp_path)
+def kill_and_read(directory, children, seed):
+    """A writer killed at a random moment; every batch that it knew to be written is there."""
     rng = random.Random(seed)
+    pid = children.start(rng.choice(("write", "rotate")), directory)
     for _ in range(rng.randrange(1, 40)):
         children.line()
     time.sleep(rng.uniform(0, 0.01))
     os.kill(pid, signal.SIGKILL)
     flushed = int(children.finish()[-1])
-    log = RolloutLog(tmp_path)
-    assert log.files == [tmp_path / "rollouts_00000.mcap.active"]
+    log = RolloutLog(directory)
     assert flushed <= log.num_batches <= flushed + 4
     assert_holds(log, log.num_batches, 64, 64)
+    recorder(directory, 64).close()  # no lock is left behind
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_killed_process_leaves_every_flushed_batch_readable(tmp_path, children, seed):
+    kill_and_read(tmp_path, children, seed)
+
+
+@pytest.mark.slow
+def test_fifty_killed_processes_leave_every_flushed_batch_readable(tmp_path, children):
+    for seed in range(3, 53):
+        kill_and_read(tmp_path / str(seed), children, seed)
 
 
 def test_a_termination_that_unwinds_loses_no_batch(tmp_path, children):
@@ -427,6 +535,6 @@ def test_an_interpreter_that_exits_completes_the_file(tmp_path, children):
 def test_a_real_write_failure_leaves_what_was_written(tmp_path, children):
     children.start("limit", tmp_path)
     count, message = children.finish()[-1].split(maxsplit=1)
-    assert message.startswith(f"Recording to {tmp_path} failed with OSError(27")
+    assert message.startswith(f"Recording to {tmp_path} failed: File too large; the {count} batch")
     assert int(count) > 1
     assert_holds(RolloutLog(tmp_path), int(count), 64, 64)
