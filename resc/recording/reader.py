@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +33,7 @@ from resc.recording.schema import WORLD, Column
 from resc.recording.selection import Selection
 from resc.recording.source import Source, open_source
 from resc.recording.specification import Specification
-from resc.recording.tables import as_pandas, episode_table, step_table
+from resc.recording.tables import ROWS, as_pandas, episode_table, step_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,9 +60,9 @@ class RolloutLog:
                     f"{source.path} and {self._sources[0].path} differ in columns, environments or "
                     "time step; open them one at a time."
                 )
-        self._batches = list(chain.from_iterable(batches(source) for source in self._sources))
+        self.batches = list(chain.from_iterable(batches(source) for source in self._sources))
         places: dict[tuple[str, int], Path] = {}
-        for batch in self._batches:
+        for batch in self.batches:
             other = places.setdefault((batch.session, batch.start_step), batch.source.path)
             if other != batch.source.path:
                 raise RecordingError(
@@ -109,18 +109,33 @@ class RolloutLog:
         return self._specification.dt_s
 
     @property
+    def round_bits(self) -> int | None:
+        """Mantissa bits kept of float32 values; None where they are exact."""
+        return self._specification.round_bits
+
+    @property
     def num_batches(self) -> int:
         """Complete batches recorded."""
-        return len(self._batches)
+        return len(self.batches)
+
+    @property
+    def num_steps(self) -> int:
+        """Control steps recorded of each environment."""
+        return sum(batch.steps for batch in self.batches)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all files were completed; the others were cut or are being written."""
+        return all(source.complete for source in self._sources)
 
     @property
     def start_steps(self) -> list[int]:
         """First control step of each batch."""
-        return [batch.start_step for batch in self._batches]
+        return [batch.start_step for batch in self.batches]
 
     @property
     def outcomes(self) -> tuple[str, ...]:
-        """Names of the integer codes in `episodes["outcome"]`."""
+        """Names that `outcome` of the episodes may take."""
         names = chain.from_iterable(source.specification.outcomes for source in self._sources)
         return tuple(dict.fromkeys(names))
 
@@ -132,8 +147,8 @@ class RolloutLog:
         and `end_step` (inclusive), `length`, `return_`, `difficulty`, `success`, `outcome`,
         `scene`, `seed`, `file`, and `complete`: whether all its steps are in these files.
         """
-        found = self._spans["upper"] - self._spans["lower"]
-        steps = np.bincount(self._spans["episode"], found, minlength=len(self._listed))
+        found = self.spans["upper"] - self.spans["lower"]
+        steps = np.bincount(self.spans["episode"], found, minlength=len(self._listed))
         complete = steps == self._listed["length"].to_numpy()
         return self._listed.with_columns(complete=pl.Series(complete, dtype=pl.Boolean))
 
@@ -170,12 +185,12 @@ class RolloutLog:
     def batch(self, index: int) -> TensorDict:
         """One collector batch, `[T, N]`."""
         _require_index(index, -self.num_batches, self.num_batches, "batch", "batches")
-        return self._read(0, self.num_envs - 1, [self._batches[index]])
+        return self._read(0, self.num_envs - 1, [self.batches[index]])
 
     def env(self, env_id: int) -> TensorDict:
         """All recorded steps of one environment, `[T_total]`; reads one chunk of each batch."""
         _require_index(env_id, 0, self.num_envs, "environment", "environments")
-        return self._read(env_id, env_id, self._batches)[:, 0]
+        return self._read(env_id, env_id, self.batches)[:, 0]
 
     def episode(self, index: int) -> TensorDict:
         """The steps `[T]` of entry `index` of `episodes`, from its first to its last."""
@@ -199,7 +214,7 @@ class RolloutLog:
 
     def to_tensordict(self) -> TensorDict:
         """Everything recorded, `[T_total, N]`."""
-        return self._read(0, self.num_envs - 1, self._batches)
+        return self._read(0, self.num_envs - 1, self.batches)
 
     def to_polars(self) -> pl.DataFrame:
         """One row per environment and step, one column per component: `state.position_w.x`.
@@ -208,10 +223,15 @@ class RolloutLog:
         `env_id` and control `step`. One environment follows the other. `where(...).to_polars()`
         has the steps of some episodes only.
         """
-        last = self.num_envs - 1
-        arrays = read_environments(self.columns, self._batches, 0, last, by_component=True)
-        values = [array.T.reshape(array.shape[2], -1).T for array in arrays]
-        return step_table(self.columns, self._about_steps(), values)
+        return self._table(range(self.num_batches))
+
+    def tables(self) -> Iterator[pl.DataFrame]:
+        """The rows of `to_polars` in one or more pieces of about a million, batch after batch."""
+        rows = np.cumsum([batch.steps * self.num_envs for batch in self.batches])
+        for _, numbers in groupby(range(self.num_batches), lambda i: rows[i] // ROWS):
+            yield self._table(list(numbers))
+        if self.num_batches == 0:
+            yield self.to_polars()
 
     def to_pandas(self) -> "pd.DataFrame":
         """As `to_polars`, for pandas."""
@@ -229,32 +249,32 @@ class RolloutLog:
                 "all steps are recorded in these files; leave them out with where(complete=True), "
                 "or read what there is with env()."
             )
-        firsts = np.searchsorted(self._spans["episode"], [numbers, numbers + 1])
+        firsts = np.searchsorted(self.spans["episode"], [numbers, numbers + 1])
         pieces = firsts[1] - firsts[0]
         rows = np.repeat(firsts[0], pieces) + ranges(pieces)
-        return read_spans(self.columns, self._batches, self._spans[rows]), counts
+        return read_spans(self.columns, self.batches, self.spans[rows]), counts
 
     @cached_property
     def _listed(self) -> pl.DataFrame:
         return episode_table(self._sources, self.outcomes)
 
     @cached_property
-    def _sessions(self) -> list[str]:
+    def sessions(self) -> list[str]:
         """The recorder that wrote each episode."""
         files = {str(s.path): s.specification.session for s in self._sources}
         return [files[file] for file in self._listed["file"]]
 
     @cached_property
-    def _spans(self) -> Shaped[np.ndarray, " s"]:
-        """Where the steps of each episode are."""
+    def spans(self) -> Shaped[np.ndarray, " s"]:
+        """Where the recorded steps of the episodes are: `decode.SPAN`, by episode, then by time."""
         columns = ("index", "env_id", "start_step", "end_step")
         episodes = {name: self._listed[name].to_numpy() for name in columns}
-        owners, found = np.array(self._sessions, object), []
-        for session in dict.fromkeys(self._sessions):
-            numbers = [i for i, batch in enumerate(self._batches) if batch.session == session]
-            numbers.sort(key=lambda number: self._batches[number].start_step)
+        owners, found = np.array(self.sessions, object), []
+        for session in dict.fromkeys(self.sessions):
+            numbers = [i for i, batch in enumerate(self.batches) if batch.session == session]
+            numbers.sort(key=lambda number: self.batches[number].start_step)
             own = {name: values[owners == session] for name, values in episodes.items()}
-            found.append(spans_of(self._batches, np.array(numbers, np.int64), own))
+            found.append(spans_of(self.batches, np.array(numbers, np.int64), own))
         spans = np.concatenate([np.empty(0, SPAN), *found])
         return spans[np.argsort(spans["episode"], kind="stable")]
 
@@ -269,7 +289,7 @@ class RolloutLog:
 
     def _sources_of(self, index: int) -> list[Source]:
         """The files of the recorder that wrote an episode."""
-        session = self._sessions[index]
+        session = self.sessions[index]
         return [source for source in self._sources if source.specification.session == session]
 
     def _read(self, first: int, last: int, found: Sequence[Batch]) -> TensorDict:
@@ -280,23 +300,30 @@ class RolloutLog:
             result[column.key] = as_tensor(column, array)
         return result
 
-    def _about_steps(self) -> dict[str, Int[np.ndarray, " rows"]]:
-        """Environment, step and episode of everything recorded, environment by environment."""
-        lengths = np.array([batch.steps for batch in self._batches], np.int64)
-        steps = np.repeat(np.array(self.start_steps, np.int64), lengths) + ranges(lengths)
-        offsets, spans = np.cumsum(lengths) - lengths, self._spans
-        counts = spans["upper"] - spans["lower"]
+    def _table(self, numbers: Sequence[int]) -> pl.DataFrame:
+        """The table of steps of some batches."""
+        found, last = [self.batches[number] for number in numbers], self.num_envs - 1
+        arrays = read_environments(self.columns, found, 0, last, by_component=True)
+        lengths = np.array([batch.steps for batch in found], np.int64)
+        starts = np.array([batch.start_step for batch in found], np.int64)
+        steps = np.repeat(starts, lengths) + ranges(lengths)
+        offsets = np.full(self.num_batches, -1)
+        offsets[list(numbers)] = np.cumsum(lengths) - lengths
+        spans = self.spans[offsets[self.spans["batch"]] >= 0]
         first = spans["env_id"] * len(steps) + offsets[spans["batch"]] + spans["lower"]
+        counts = spans["upper"] - spans["lower"]
         index = np.full(self.num_envs * len(steps), -1)
         index[np.repeat(first, counts) + ranges(counts)] = np.repeat(spans["episode"], counts)
-        # Step -1, "no episode", takes the number that is put last.
+        # Steps of no episode have index -1, the last entry.
         episode = np.append(self._listed["episode"].to_numpy(), -1)
-        return {
+        about = {
             "index": index,
             "env_id": np.repeat(np.arange(self.num_envs), len(steps)),
             "episode": episode[index],
             "step": np.tile(steps, self.num_envs),
         }
+        values = [array.T.reshape(array.shape[2], -1).T for array in arrays]
+        return step_table(self.columns, about, values)
 
 
 def _require_index(index: int, lowest: int, limit: int, what: str, plural: str) -> None:

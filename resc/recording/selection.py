@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from resc.build import nearest
 from resc.errors import RecordingError
 from resc.recording.decode import ranges, to_tensordict
-from resc.recording.tables import as_pandas, step_table
+from resc.recording.tables import ROWS, as_pandas, step_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,6 +119,14 @@ class Selection:
         about["step"] = np.repeat(starts, counts) + ranges(counts)
         values = [records[name].copy() for name in records.dtype.names or ()]
         return step_table(self._log.columns, about, values)
+
+    def tables(self) -> Iterator[pl.DataFrame]:
+        """The rows of `to_polars` in one or more pieces of about a million, in the same order."""
+        piece = self.episodes["length"].cum_sum() // ROWS
+        for _, episodes in self.episodes.group_by(piece, maintain_order=True):
+            yield Selection(self._log, episodes).to_polars()
+        if len(self) == 0:
+            yield self.to_polars()
 
     def to_pandas(self) -> "pd.DataFrame":
         """As `to_polars`, for pandas."""

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 STEP_COLUMNS = ("index", "env_id", "episode", "step")
 """What a row of a table of steps says about itself."""
+ROWS = 1_000_000
+"""Rows of a piece of a table that is too large for the memory."""
 
 
 def episode_table(sources: Sequence[Source], outcomes: Sequence[str]) -> pl.DataFrame:

@@ -143,6 +143,4 @@ def test_recording_names_outcomes_and_returns(flights, log):
     rows = log.episodes["env_id"].to_torch()
     assert torch.equal(log.episodes["success"].to_torch(), flown.success[rows])
     returns = log.to_tensordict()["reward"].sum((0, 2))[rows]
-    torch.testing.assert_close(
-        log.episodes["return_"].to_torch(), returns, atol=1e-4, rtol=1e-4
-    )
+    torch.testing.assert_close(log.episodes["return_"].to_torch(), returns, atol=1e-4, rtol=1e-4)

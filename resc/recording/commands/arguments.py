@@ -1,0 +1,110 @@
+"""What the commands share: their arguments, the episodes they mean, the files they write."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+from polars.exceptions import PolarsError
+
+from resc.errors import RecordingError
+from resc.recording.reader import RolloutLog
+from resc.recording.selection import Selection
+
+Run = Callable[[argparse.Namespace], int]
+
+
+def add_command(
+    commands: Any,  # noqa: ANN401
+    name: str,
+    run: Run,
+    summary: str,
+    example: str,
+) -> argparse.ArgumentParser:
+    """A command with its summary, an example and the function that runs it."""
+    parser = commands.add_parser(
+        name,
+        help=summary,
+        description=f"{summary[0].upper()}{summary[1:]}.",
+        epilog=f"example:\n  {example}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """The positional argument RECORDING."""
+    parser.add_argument("recording", metavar="RECORDING", help="file, folder, run or pattern")
+
+
+def add_where(parser: argparse.ArgumentParser) -> None:
+    """The option --where."""
+    parser.add_argument(
+        "--where",
+        metavar="SQL",
+        help="only episodes that meet a condition on the columns of 'episodes'",
+    )
+
+
+def add_output(parser: argparse.ArgumentParser, default: str) -> None:
+    """The options --out and --force."""
+    parser.add_argument("--out", type=Path, metavar="FILE", help=f"output; default: {default}")
+    parser.add_argument("--force", action="store_true", help="overwrite the output if it exists")
+
+
+def add_episode(parser: argparse.ArgumentParser) -> None:
+    """The option --episode."""
+    parser.add_argument(
+        "--episode",
+        type=int,
+        required=True,
+        metavar="K",
+        help="number in the column 'index' of 'episodes'; -1 is the last",
+    )
+
+
+def selected(log: RolloutLog, condition: str | None) -> Selection:
+    """The episodes that meet a condition in SQL; all without one.
+
+    Raises:
+        RecordingError: It is no condition on the columns of the episodes.
+    """
+    if condition is None:
+        return log.where()
+    try:
+        expression = pl.sql_expr(condition)
+    except PolarsError as error:
+        raise RecordingError(
+            f"--where {condition!r} is not a condition in SQL, such as \"outcome == 'collision' "
+            'and length > 50".'
+        ) from error
+    return log.where(expression)
+
+
+def number_of(index: int, count: int) -> int:
+    """The number of an episode; negative ones count from the last.
+
+    Raises:
+        RecordingError: There is no such episode.
+    """
+    if not -count <= index < count:
+        raise RecordingError(
+            f"There is no episode {index}; the recording holds {count}, counted from 0."
+        )
+    return index % count
+
+
+def output(given: argparse.Namespace, default: Path) -> Path:
+    """Where the output goes.
+
+    Raises:
+        RecordingError: A file is there already, or its folder is not.
+    """
+    path: Path = given.out or default
+    if path.exists() and not given.force:
+        raise RecordingError(f"{path} exists; name another file with --out, or add --force.")
+    if not path.parent.is_dir():
+        raise RecordingError(f"{path.parent} is not a folder; create it, or change --out.")
+    return path

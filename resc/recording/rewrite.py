@@ -1,0 +1,179 @@
+"""Recordings written anew: what a cut or damaged file still holds, or several files as one."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from resc.errors import RecordingError
+from resc.recording import wire
+from resc.recording.decode import Batch, batches
+from resc.recording.output import replacing
+from resc.recording.records import ChunkRef
+from resc.recording.schema import ROLLOUT
+from resc.recording.segments import ACTIVE, FileHead, Message, Segment
+from resc.recording.source import Source, open_source
+
+_CODECS = {"": "none"}
+"""Names of compressions where MCAP and the recorder do not agree."""
+_SEQUENCE, _LOG_TIME, _PUBLISH_TIME = -20, -16, -8
+"""Where the fields of a message record lie, seen from its content."""
+
+
+@dataclass
+class Rewritten:
+    """What came of writing a file anew: batches kept, and what had to be left out, in words."""
+
+    batches: int = 0
+    lost: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Chunks that are kept or lost together: a batch, or one chunk of another topic."""
+
+    source: Source
+    topic: str
+    chunks: tuple[ChunkRef, ...]
+    batch: Batch | None = None
+
+    def messages(self) -> tuple[int, list[Message]]:
+        """Publish time and messages."""
+        if self.batch is not None:
+            last = self.source.specification.num_envs - 1
+            runs = [rows for _, _, rows in self.batch.fragments(0, last)]
+        else:
+            runs = [rows for chunk in self.chunks for rows in self.source.rows(chunk, self.topic)]
+        published = int(runs[0].view(np.dtype("<u8"), _PUBLISH_TIME)[0, 0])
+        return published, [message for rows in runs for message in _messages(rows)]
+
+
+def recover(path: Path, target: Path) -> Rewritten:
+    """Writes what a cut, damaged or growing file holds as a complete file.
+
+    A batch is kept if all its fragments are there and undamaged; `path` stays as it is.
+
+    Raises:
+        RecordingError: Not even the description at its beginning can be read.
+    """
+    source = _described(path)
+    # As of a file that was cut: batches of which something is missing are no reason to stop.
+    source = replace(source, complete=False)
+    done = Rewritten()
+    try:
+        attachments = source.attachments()
+    except RecordingError as error:
+        attachments = {}
+        done.lost.append(f"attachments: {error}")
+    head = FileHead(source.specification, source.metadata, attachments)
+    _write([source], head, target, done)
+    return done
+
+
+def merge(paths: Sequence[Path], target: Path) -> Rewritten:
+    """Writes the batches of several files, in the order of time, to one.
+
+    Files of a run that was interrupted and resumed are merged, too: the facts about its later parts
+    are in `merged` of the metadata, attachments that differ get a number.
+
+    Raises:
+        RecordingError: The files do not describe the same columns, or hold the same steps.
+    """
+    sources = sorted(map(_described, paths), key=_first_step)
+    head = sources[0]
+    for source in sources[1:]:
+        for name in ("columns", "num_envs", "dt_s", "round_bits", "every_n_batches"):
+            own, other = (getattr(s.specification, name) for s in (source, head))
+            if own != other:
+                raise RecordingError(
+                    f"{source.path} and {head.path} differ in {name}; only files of one run, or of "
+                    "one that was resumed, can be merged."
+                )
+    for one, other in pairwise(sources):
+        last, first = _end_step(one), _first_step(other)
+        if first < last:
+            raise RecordingError(
+                f"{one.path} and {other.path} both hold step {first}; only files of one run that "
+                "follow each other can be merged."
+            )
+    done = Rewritten()
+    _write(sources, _merged_head(sources), target, done)
+    return done
+
+
+def _write(sources: Sequence[Source], head: FileHead, target: Path, done: Rewritten) -> None:
+    pieces = [piece for source in sources for piece in _pieces(source)]
+    codec = pieces[0].chunks[0].codec if pieces else ""
+    total = sum(chunk.length for piece in pieces for chunk in piece.chunks)
+    with (
+        replacing(target) as unfinished,
+        tqdm(total=total, unit="B", unit_scale=True, disable=None, leave=False) as bar,
+    ):
+        segment = Segment(unfinished, head, _CODECS.get(codec, codec))
+        try:
+            for piece in pieces:
+                try:
+                    published, messages = piece.messages()
+                except RecordingError as error:
+                    done.lost.append(f"{piece.topic}: {error}")
+                else:
+                    segment.append(piece.topic, messages, published)
+                    done.batches += piece.batch is not None
+                bar.update(sum(chunk.length for chunk in piece.chunks))
+        except BaseException:
+            segment.abandon()
+            unfinished.with_name(unfinished.name + ACTIVE).unlink()
+            raise
+        segment.finish()
+
+
+def _pieces(source: Source) -> list[_Piece]:
+    """All that is in a file, in its order."""
+    pieces = [_Piece(source, ROLLOUT, batch.chunks, batch) for batch in batches(source)]
+    for topic in source.topics.keys() - {ROLLOUT}:
+        pieces += [_Piece(source, topic, (chunk,)) for chunk in source.chunks_of(topic)]
+    return sorted(pieces, key=lambda piece: piece.chunks[0].offset)
+
+
+def _messages(rows: wire.Rows) -> Iterator[Message]:
+    times = rows.view(np.dtype("<u8"), _LOG_TIME)[:, 0].tolist()
+    numbers = rows.view(np.dtype("<u4"), _SEQUENCE)[:, 0].tolist()
+    for i, (time, number) in enumerate(zip(times, numbers, strict=True)):
+        yield time, number, rows.message(i)
+
+
+def _merged_head(sources: Sequence[Source]) -> FileHead:
+    first = sources[0]
+    outcomes = dict.fromkeys(name for s in sources for name in s.specification.outcomes)
+    specification = replace(first.specification, outcomes=tuple(outcomes))
+    metadata, attachments = dict(first.metadata), first.attachments()
+    others = [source.metadata for source in sources[1:] if source.metadata != first.metadata]
+    if others:
+        metadata["merged"] = json.dumps(others)
+    for number, source in enumerate(sources[1:], 1):
+        for name, data in source.attachments().items():
+            if data not in attachments.values():
+                path = Path(name)
+                attachments[f"{path.stem}.{number}{path.suffix}"] = data
+    return FileHead(specification, metadata, attachments)
+
+
+def _described(path: Path) -> Source:
+    source = open_source(path)
+    if source is None:
+        raise RecordingError(
+            f"{path} was cut before the recording began; there is nothing to read."
+        )
+    return source
+
+
+def _first_step(source: Source) -> int:
+    return min((batch.start_step for batch in batches(source)), default=0)
+
+
+def _end_step(source: Source) -> int:
+    return max((batch.start_step + batch.steps for batch in batches(source)), default=0)
