@@ -10,6 +10,7 @@ from tensordict import TensorDict
 
 from resc.errors import RecordingError
 from resc.recording import Column, RolloutLog, RolloutRecorder
+from resc.recording.source import open_source
 
 COLUMNS = (
     Column(("state", "position_w"), ("x", "y", "z"), torch.float32, "m", "w"),
@@ -221,3 +222,83 @@ def test_a_damaged_summary_costs_nothing(whole, tmp_path):
         damaged[position] ^= 4
         path.write_bytes(damaged)
         assert check(path) == BATCHES + 5
+
+
+def test_a_file_cut_in_its_header_holds_nothing_to_read(whole, tmp_path):
+    path = tmp_path / "cut.mcap"
+    for size in (0, 3, 8, 12, 30):
+        path.write_bytes(whole[:size])
+        with pytest.raises(RecordingError, match="was cut before the recording began"):
+            RolloutLog(path)
+
+
+def test_a_file_cut_in_a_chunk_gives_the_batches_before(whole, tmp_path):
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(whole)
+    chunk = open_source(path).chunks_of("/rollout")[2]
+    path.write_bytes(whole[: chunk.offset + chunk.length // 2])
+    log = RolloutLog(path)
+    assert log.start_steps == [0, STEPS]
+    assert len(log.episodes) == 2 * ENVS
+    assert torch.equal(log.batch(1)["reward"], rollout(1)["reward"])
+
+
+def test_a_file_cut_in_its_footer_gives_everything(whole, tmp_path):
+    path = tmp_path / "cut.mcap"
+    for missing in (1, 8, 9, 20, 37, 38, 200):
+        path.write_bytes(whole[:-missing])
+        assert check(path) == BATCHES + 5
+
+
+def test_a_damaged_batch_is_named_and_the_others_are_read(whole, tmp_path):
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(whole)
+    chunk = open_source(path).chunks_of("/rollout")[1]
+    damaged = bytearray(whole)
+    damaged[chunk.offset + chunk.length - 20] ^= 1
+    path.write_bytes(damaged)
+    log = RolloutLog(path)
+    with pytest.raises(RecordingError, match=f"damaged at byte {chunk.offset}; .* other batches"):
+        log.batch(1)
+    for index in (0, 2, 3):
+        expected = rollout(index)["state", "position_w"]
+        assert torch.equal(log.batch(index)["state", "position_w"], expected)
+    assert len(log.episodes) == BATCHES * ENVS
+
+
+def test_damaged_documents_are_named_and_the_rest_is_read(whole, tmp_path):
+    path = tmp_path / "damaged.mcap"
+    for part, complaint in ((b"seed: 7", "damaged at byte"), (b"racing", "'resc.run' is damaged")):
+        damaged = bytearray(whole)
+        damaged[whole.index(part) + 1] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(RecordingError, match=complaint):
+            _ = RolloutLog(path).config
+
+
+def test_a_description_of_another_version_or_with_a_changed_number_is_refused(whole, tmp_path):
+    path = tmp_path / "changed.mcap"
+    assert b"0.02" in whole
+    path.write_bytes(whole.replace(b"0.02", b"0.03"))
+    with pytest.raises(RecordingError, match=r"metadata 'resc.spec' is damaged; copy"):
+        RolloutLog(path)
+    older = whole.replace(b"format\1\0\0\0" + b"3", b"format\1\0\0\0" + b"2")
+    path.write_bytes(older)
+    with pytest.raises(RecordingError, match="has recording format 2, and this RESC reads format"):
+        RolloutLog(path)
+
+
+def test_a_recording_without_a_configuration_says_what_it_has(tmp_path):
+    with RolloutRecorder(
+        directory=tmp_path,
+        columns=COLUMNS,
+        dt_s=0.02,
+        num_envs=ENVS,
+        metadata=RUN,
+        attachments={"notes.txt": b"hello"},
+    ) as recorder:
+        recorder.put(rollout(0), 0)
+    with pytest.raises(
+        RecordingError, match=r"no attachment 'config.yaml'; it has \['notes.txt'\]"
+    ):
+        _ = RolloutLog(tmp_path).config
