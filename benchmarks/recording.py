@@ -4,6 +4,7 @@
     python benchmarks/recording.py --part writer       CPU time and bytes per environment step
     python benchmarks/recording.py --part cost         PPO with and without, one job
     python benchmarks/recording.py --part jobs         PPO with and without, two jobs at once
+    python benchmarks/recording.py --part read         reading (benchmarks/recording_read.py)
     python benchmarks/recording.py --quick --json out.json
 
 Everything is measured in turn within one run, so that ratios hold on a machine that others use,
@@ -28,6 +29,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDict
 from torch import Tensor
 
+from benchmarks import recording_read
 from benchmarks.measure import ROOT, load, machine, sentence, write_json
 from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_policy
@@ -37,7 +39,7 @@ from resc.process import prepare_process
 from resc.recording.rollouts import open_recorder, record_world, start_arrays, with_success
 from resc.recording.writer import RolloutRecorder
 
-PARTS = ("writer", "cost", "jobs")
+PARTS = ("writer", "cost", "jobs", "read")
 POLICY = ROOT / "policies" / "obstacles"
 CODECS = {
     "zstd": {},
@@ -134,6 +136,18 @@ def measure_writer(args: argparse.Namespace) -> dict[str, float]:
         key = name.replace(", ", "_").replace(" ", "_")
         figures |= {f"writer_cpu_s_{key}": cpu_s, f"bytes_per_step_{key}": size}
     print(f"| goal | {GOALS['writer_cpu_s']} | {GOALS['bytes_per_step']:.0f} |\n")
+    return figures
+
+
+def measure_reader(args: argparse.Namespace) -> dict[str, float]:
+    """Prints the table of reading."""
+    with tempfile.TemporaryDirectory() as folder:
+        recording_read.make_recording(Path(folder), "zstd")
+        figures = recording_read.reading_figures(folder, 3 if args.quick else 7)
+    print("| reading | measured | goal |\n|---|---:|---:|")
+    for name, value in figures.items():
+        print(f"| {name} | {value:,.4g} | {recording_read.GOALS.get(name, '')} |")
+    print()
     return figures
 
 
@@ -249,9 +263,11 @@ def main() -> None:
         return
     facts, figures = machine("cpu", args.threads), {}
     parts = (args.part,) if args.part else PARTS
+    prepare_process(args.threads, "cpu")
     if "writer" in parts:
-        prepare_process(args.threads, "cpu")
         figures |= measure_writer(args)
+    if "read" in parts:
+        figures |= measure_reader(args)
     for name, jobs in (("cost", 1), ("jobs", 2)):
         if name in parts:
             figures |= measure_cost(args, jobs)
