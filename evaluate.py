@@ -5,6 +5,7 @@ python evaluate.py policy=runs/2025-11-22/10-00-00_train    a policy of your own
 python evaluate.py 'scenes=[random_boxes]' flights=50   another scene of conf/scene
 python evaluate.py 'scenes=[training]' flights=1000     episodes as in training, never trained on
 python evaluate.py 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'    a number of the scene
+python evaluate.py 'replay=runs/latest/rollouts#7'      a recorded episode, flown again step by step
 """
 
 import sys
@@ -21,6 +22,7 @@ from resc import schema
 from resc.build import nearest
 from resc.errors import ConfigError, RescError
 from resc.evaluation.campaign import evaluate
+from resc.evaluation.replay import replay
 from resc.launch import launch, refuse_doubles
 from resc.learning.checkpoint import load_policy
 from resc.process import prepare_process
@@ -32,9 +34,12 @@ def main(config: DictConfig) -> None:
     try:
         refuse_doubles()
         prepare_process(config["threads"], config["device"])
+        folder = Path(HydraConfig.get().runtime.output_dir)
+        if config["replay"]:
+            print(replay(config["replay"], folder, allowed=config["allowed_targets"]))
+            return
         scenes = compose_scenes(config)
         policy = load_policy(Path(config["policy"]), config["device"])
-        folder = Path(HydraConfig.get().runtime.output_dir)
         print(evaluate(config, policy, scenes, folder))
     except RescError as error:
         sys.exit(f"error: {error}")

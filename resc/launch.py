@@ -37,7 +37,7 @@ def launch(main: Callable[[], None], config_name: str) -> None:
         "HYDRA_FULL_ERROR", "1"
     )  # Hydra then raises instead of printing and exiting
     try:
-        sys.argv[1:] = resumed_sweep(sys.argv[1:])
+        sys.argv[1:] = quoted_replay(resumed_sweep(sys.argv[1:]))
         main()
     except HydraException as error:
         sys.exit(f"error: {explain(error, config_name)}")
@@ -66,6 +66,12 @@ def resumed_sweep(arguments: list[str]) -> list[str]:
     stored = [*hydra["overrides"]["hydra"], *hydra["overrides"]["task"]]
     kept = [text for text in stored if text.partition("=")[0] not in {*keys, *MODE}]
     return ["-m", *kept, *given, f"hydra.sweep.dir='{folder}'"]
+
+
+def quoted_replay(arguments: list[str]) -> list[str]:
+    """The arguments, with quotes around the value of `replay=`: Hydra takes no bare #."""
+    bare = re.compile(r"replay=([^'\"].*#.*)")
+    return [f"replay='{found[1]}'" if (found := bare.fullmatch(a)) else a for a in arguments]
 
 
 def refuse_doubles() -> None:

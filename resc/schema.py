@@ -91,6 +91,7 @@ class EvaluateSchema(RunSchema):
         flights: Flights per scene.
         scene_files: First flights of each scene written as 3-D scenes, beside the best and the
             worst; 0 for none. There are none without a recorder.
+        replay: FILE#EPISODE of a recording to fly again instead; FILE may be a folder or a pattern.
         seed: Of starts and random scenes; training never uses this one.
         compile: Compile the step; pays off only for many thousand flights.
     """
@@ -102,6 +103,7 @@ class EvaluateSchema(RunSchema):
     scenes: list[str] = field(default_factory=list)
     flights: int = 20
     scene_files: int = 1
+    replay: str | None = None
 
 
 def register() -> None:

@@ -42,12 +42,14 @@ class Replay:
         steps: Length of the episode.
         deviations: Largest difference to the recording, by column.
         differing: Versions and device of the recording and of now, where they differ.
+        env: What flew it.
     """
 
     location: str
     steps: int
     deviations: dict[NestedKey, float]
     differing: dict[str, tuple[str, str]]
+    env: QuadrotorEnv
 
     @property
     def largest(self) -> float:
@@ -137,7 +139,7 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
         for name, then in log.metadata.items()
         if name in today and name != "git_dirty" and then != today[name]
     }
-    return Replay(location, len(recorded), deviations, differing)
+    return Replay(location, len(recorded), deviations, differing, env)
 
 
 def _environment(
