@@ -1,7 +1,10 @@
-"""How recorded episodes began: the world at their first step, and the scene they were flown in."""
+"""How recorded episodes began: the world at their first step, and the scenes they were flown in."""
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+import torch
+from jaxtyping import Int
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -10,54 +13,82 @@ from resc.recording.events import decode_arrays
 from resc.recording.schema import STARTS, WORLD
 from resc.recording.source import Source
 
+Arrays = dict[str, Tensor]
+Numbers = Int[np.ndarray, " e"]
 
-def world_at_start(sources: Sequence[Source], env_id: int, step: int) -> TensorDict:
-    """All mutable state of one environment before the first step of its episode `[]`.
+
+def worlds_at_start(sources: Sequence[Source], env_ids: Numbers, steps: Numbers) -> TensorDict:
+    """All mutable state of some environments before the first steps of their episodes `[E]`.
 
     Args:
         sources: The files of one recorder, oldest first.
-        env_id: The environment.
-        step: The first step, counted since the run began.
+        env_ids: The environment of each episode.
+        steps: The first step of each, counted since the run began.
 
     Raises:
-        RecordingError: No file has it.
+        RecordingError: One of them is in no file.
     """
-    for _, starts in _backwards(sources, STARTS, step):
-        rows = ((starts["env_id"] == env_id) & (starts["step"] == step)).nonzero()[:, 0]
-        if len(rows):
-            names = sorted(starts.keys() - {"env_id", "step"})
-            world = {tuple(name.split(".")): starts[name][rows[0]] for name in names}
-            return TensorDict(world, batch_size=[])
-    raise RecordingError(
-        f"How environment {env_id} began its episode in step {step} is not recorded; choose an "
-        "episode that began after the oldest file."
-    )
+    asked = list(zip(env_ids.tolist(), steps.tolist(), strict=True))
+    wanted = {key: row for row, key in enumerate(asked)}
+    rows: list[int] = []
+    parts: list[Arrays] = []
+    for _, starts in _messages(sources, STARTS, int(steps.max())):
+        keys = zip(starts["env_id"].tolist(), starts["step"].tolist(), strict=True)
+        here = {place: wanted[key] for place, key in enumerate(keys) if key in wanted}
+        if here:
+            rows += here.values()
+            parts.append({name: values[[*here]] for name, values in starts.items()})
+    _require_all(rows, asked, "How environment {0} began its episode in step {1}")
+    order = torch.tensor(rows).argsort()
+    world = {
+        tuple(name.split(".")): torch.cat([part[name] for part in parts])[order]
+        for name in parts[0].keys() - {"env_id", "step"}
+    }
+    return TensorDict(world, batch_size=[len(asked)])
 
 
-def scene_in_use(sources: Sequence[Source], scene: int, step: int) -> dict[str, Tensor]:
-    """The arrays of one scene of the pool as it was in `step`, without the pool's axis.
+def scenes_in_use(sources: Sequence[Source], scenes: Numbers, steps: Numbers) -> Arrays:
+    """The arrays of some scenes of the pool `[E, ...]`, each as it was in a step.
 
     Raises:
-        RecordingError: No file has it.
+        RecordingError: One of them is in no file.
     """
-    for first_step, arrays in _backwards(sources, WORLD, step):
-        rows = (arrays["entry"] == scene).nonzero()[:, 0]
-        if len(rows) and first_step <= step:
-            return {name: values[rows[0]] for name, values in arrays.items() if name != "entry"}
-    raise RecordingError(
-        f"Scene {scene}, in use in step {step}, is not recorded; choose an episode that began "
-        "after the oldest file."
-    )
+    waiting = sorted(range(len(scenes)), key=lambda row: -steps[row])
+    pool: dict[int, Arrays] = {}
+    found: dict[int, Arrays] = {}
+
+    def take(limit: int) -> None:
+        while waiting and steps[waiting[-1]] < limit:
+            row = waiting.pop()
+            if int(scenes[row]) in pool:
+                found[row] = pool[int(scenes[row])]
+
+    for first_step, arrays in _messages(sources, WORLD, int(steps.max())):
+        take(first_step)
+        for place, entry in enumerate(arrays["entry"].tolist()):
+            pool[entry] = {name: values[place] for name, values in arrays.items()}
+    take(int(steps.max()) + 1)
+    asked = list(zip(scenes.tolist(), steps.tolist(), strict=True))
+    _require_all([*found], asked, "Scene {0}, in use in step {1},")
+    names = pool[asked[0][0]].keys() - {"entry"}
+    return {name: torch.stack([found[row][name] for row in range(len(asked))]) for name in names}
 
 
-def _backwards(
-    sources: Sequence[Source], topic: str, step: int
-) -> Iterator[tuple[int, dict[str, Tensor]]]:
-    """First steps and arrays of a topic's messages up to `step`, the last first."""
-    for source in reversed(sources):
-        for chunk in reversed(source.chunks_of(topic)):
-            if chunk.start_time <= step * source.specification.dt_ns:
-                runs = list(source.rows(chunk, topic))
-                for rows in reversed(runs):
-                    for i in reversed(range(rows.count)):
-                        yield decode_arrays(topic, rows.message(i))
+def _messages(sources: Sequence[Source], topic: str, last: int) -> Iterator[tuple[int, Arrays]]:
+    """First steps and arrays of a topic's messages up to step `last`, in order."""
+    for source in sources:
+        for chunk in source.chunks_of(topic):
+            for rows in source.rows(chunk, topic):
+                for i in range(rows.count):
+                    first_step, arrays = decode_arrays(topic, rows.message(i))
+                    if first_step <= last:
+                        yield first_step, arrays
+
+
+def _require_all(rows: Sequence[int], asked: Sequence[tuple[int, int]], what: str) -> None:
+    missing = set(range(len(asked))).difference(rows)
+    if missing:
+        raise RecordingError(
+            f"{what.format(*asked[min(missing)])} is not recorded; choose an episode that began "
+            "after the oldest file."
+        )

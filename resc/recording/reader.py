@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+import torch
 from jaxtyping import Int, Shaped
 from omegaconf import Container, OmegaConf
 from tensordict import TensorDict
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from resc.errors import RecordingError
 from resc.recording import events
-from resc.recording.beginnings import scene_in_use, world_at_start
+from resc.recording.beginnings import scenes_in_use, worlds_at_start
 from resc.recording.decode import (
     SPAN,
     Batch,
@@ -201,16 +202,32 @@ class RolloutLog:
 
     def start(self, index: int) -> TensorDict:
         """All mutable state of the simulator before the first step of entry `index`, `[]`."""
-        env_id, step, _ = self._begun(index)
-        return world_at_start(self._sources_of(index), env_id, step)
+        _require_index(index, -len(self), len(self), "episode", "episodes")
+        return self.starts([index % len(self)])[0]
 
     def scene(self, index: int) -> dict[str, Tensor]:
         """The obstacles, the start and the route that entry `index` of `episodes` was flown with.
 
         The arrays of `world`, without the axis of the pool.
         """
-        _, step, scene = self._begun(index)
-        return scene_in_use(self._sources_of(index), scene, step)
+        _require_index(index, -len(self), len(self), "episode", "episodes")
+        return {name: values[0] for name, values in self.scenes([index % len(self)]).items()}
+
+    def starts(self, numbers: Sequence[int]) -> TensorDict:
+        """As `start`, of several episodes `[E]`."""
+        parts = [
+            worlds_at_start(sources, rows["env_id"].to_numpy(), rows["start_step"].to_numpy())
+            for sources, rows in self._by_recorder(numbers)
+        ]
+        return torch.cat(parts)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+    def scenes(self, numbers: Sequence[int]) -> dict[str, Tensor]:
+        """As `scene`, of several episodes, each array `[E, ...]`."""
+        parts = [
+            scenes_in_use(sources, rows["scene"].to_numpy(), rows["start_step"].to_numpy())
+            for sources, rows in self._by_recorder(numbers)
+        ]
+        return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
 
     def to_tensordict(self) -> TensorDict:
         """Everything recorded, `[T_total, N]`."""
@@ -278,19 +295,11 @@ class RolloutLog:
         spans = np.concatenate([np.empty(0, SPAN), *found])
         return spans[np.argsort(spans["episode"], kind="stable")]
 
-    def _begun(self, index: int) -> tuple[int, int, int]:
-        """Environment, first step and scene of an episode."""
-        count = len(self.episodes)
-        _require_index(index, -count, count, "episode", "episodes")
-        env_id, step, scene = (
-            int(self.episodes[name][index]) for name in ("env_id", "start_step", "scene")
-        )
-        return env_id, step, scene
-
-    def _sources_of(self, index: int) -> list[Source]:
-        """The files of the recorder that wrote an episode."""
-        session = self.sessions[index]
-        return [source for source in self._sources if source.specification.session == session]
+    def _by_recorder(self, numbers: Sequence[int]) -> Iterator[tuple[list[Source], pl.DataFrame]]:
+        """Runs of episodes that one recorder wrote, with its files."""
+        for session, run in groupby(numbers, lambda number: self.sessions[number]):
+            sources = [s for s in self._sources if s.specification.session == session]
+            yield sources, self.episodes[list(run)]
 
     def _read(self, first: int, last: int, found: Sequence[Batch]) -> TensorDict:
         """All steps of environments `first` to `last` in some batches."""

@@ -1,11 +1,12 @@
 """How an episode began, and the scene it was flown in, found among several files."""
 
+import numpy as np
 import pytest
 import torch
 from test_recorder import recorder, rollout
 
 from resc.errors import RecordingError
-from resc.recording.beginnings import scene_in_use, world_at_start
+from resc.recording.beginnings import scenes_in_use, worlds_at_start
 from resc.recording.reader import RolloutLog
 from resc.recording.source import open_source
 
@@ -14,9 +15,18 @@ def boxes(*values):
     return torch.tensor(values)[:, None, None].expand(-1, 2, 4).clone()
 
 
+def scene_in_use(sources, scene, step):
+    found = scenes_in_use(sources, np.array([scene]), np.array([step]))
+    return {name: values[0] for name, values in found.items()}
+
+
+def world_at_start(sources, env_id, step):
+    return worlds_at_start(sources, np.array([env_id]), np.array([step]))[0]
+
+
 @pytest.fixture
 def sources(tmp_path):
-    """Four batches of ten steps, in several files; scene 1 is renewed after the first and the third."""
+    """Four batches in several files; scene 1 is renewed after the first and the third."""
     with recorder(tmp_path, rotate_mb=0.001) as target:
         target.put_world({"entry": torch.arange(3), "boxes_w": boxes(0.0, 1.0, 2.0)}, 0)
         for number in range(4):
@@ -67,3 +77,11 @@ def test_what_is_not_recorded_is_refused(sources):
         scene_in_use(sources, 7, 5)
     with pytest.raises(RecordingError, match="Scene 0, in use in step 5, is not recorded"):
         scene_in_use(sources[-1:], 0, 5)
+
+
+def test_several_come_in_the_order_asked_for(sources):
+    scenes, steps = np.array([1, 2, 1, 1]), np.array([35, 0, 5, 12])
+    found = scenes_in_use(sources, scenes, steps)["boxes_w"][:, 0, 0]
+    assert found.tolist() == [12.0, 2.0, 1.0, 10.0]
+    worlds = worlds_at_start(sources, np.array([3, 0, 3]), np.array([40, 20, 10]))
+    assert worlds["state", "position_w"][:, 0].tolist() == [3.0, 2.0, 0.0]
