@@ -21,7 +21,7 @@ ACTIVE = ".active"
 PATTERN = "rollouts_*.mcap"
 # Only these are counted and deleted: a file renamed by hand is the user's.
 _NUMBERED = "rollouts_[0-9][0-9][0-9][0-9][0-9].mcap"
-_CHUNK_BYTES = 1 << 20
+_CHUNK_BYTES = 1 << 19  # of 1 << 20, one environment takes 1.7 times as long to read
 _COMPRESSION = {
     "zstd": CompressionType.ZSTD,
     "lz4": CompressionType.LZ4,
