@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -162,8 +163,9 @@ def _facts(log: RolloutLog, episode: int) -> dict[str, str]:
     """The episode's entry as text, for metadata and log lines."""
     entry = log.episodes.row(episode, named=True)
     entry["return"] = entry.pop("return_")
-    entry["success"] = str(entry["success"]).lower()
-    return {name: str(value) for name, value in entry.items()}
+    entry["file"] = Path(entry["file"]).name  # where it lay says nothing to the next reader
+    texts = {name: str(value) for name, value in entry.items()}
+    return {n: text.lower() if isinstance(entry[n], bool) else text for n, text in texts.items()}
 
 
 def _place(arrays: Mapping[str, Tensor], config: Mapping[str, Any]) -> Place:

@@ -14,7 +14,6 @@ from resc.recording.appearance import (
     NEXT,
     OBSTACLE,
     TRAIL_STEPS,
-    map_centres,
     rgba,
     rotor_colours,
     rotor_places,
@@ -40,8 +39,8 @@ except ModuleNotFoundError as missing:
 APPLICATION = "resc"
 LINE_M, RAY_M, DOT_M, TRAIL_M = 0.006, 0.004, 0.035, 0.015
 """Radii [m]."""
-EYE_M = np.array((0.0, -6.0, 6.0))
-"""Where the camera is, from the middle of the route."""
+EYE = np.array((0.0, -0.5, 1.35))
+"""Where the camera is, from the middle of the route, in lengths of it."""
 SCENE = ("/world/**", "/map/**", "/plan/**", "/drone/**", "/observation/**")
 DIMMED = 0.45
 """Opacity of commanded rates beside true ones."""
@@ -117,15 +116,23 @@ def _send_place(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     corner = np.pad(boxes[:, :2], ((0, 0), (0, 1)))
     obstacles = rr.Boxes3D(mins=corner, sizes=size, colors=[rgba(OBSTACLE)], fill_mode="solid")
     stream.log("/world/obstacles", obstacles, static=True)
-    cells = rr.Points3D(
-        map_centres(scene),
-        colors=shades(place.esdf.numpy()).reshape(-1, 4),
-        radii=[place.resolution / 2],
-    )
-    stream.log("/map/esdf", cells, static=True)
+    stream.log("/map/esdf", _ground(scene), static=True)
     plan = np.concatenate((place.start.numpy()[None], place.route.numpy()))
     path = rr.LineStrips3D([plan], colors=[rgba(NEXT)], radii=[LINE_M])
     stream.log("/plan/path", path, static=True)
+
+
+def _ground(scene: EpisodeScene) -> rr.Mesh3D:
+    """The map's colours on the ground: a rectangle with a picture of one pixel a cell."""
+    place = scene.place
+    unit = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+    corners = place.origin.numpy() + unit * place.size.numpy()
+    return rr.Mesh3D(
+        vertex_positions=np.pad(corners, ((0, 0), (0, 1))),
+        vertex_texcoords=unit,  # both count from the first row of the map
+        triangle_indices=[(0, 1, 2), (0, 2, 3)],
+        albedo_texture=shades(place.esdf.numpy()),
+    )
 
 
 def _send_route(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
@@ -222,8 +229,10 @@ def _curves(numbers: Numbers) -> Iterator[tuple[str, Float[np.ndarray, " t"]]]:
 def _blueprint(scene: EpisodeScene) -> rrb.Blueprint:
     """3-D view on the left, curves and log on the right."""
     place = scene.place
-    middle = np.concatenate((place.start.numpy()[None], place.route.numpy())).mean(0)
-    eye = rrb.EyeControls3D(position=middle + EYE_M, look_target=middle)
+    plan = np.concatenate((place.start.numpy()[None], place.route.numpy()))
+    low, high = plan.min(0), plan.max(0)
+    middle, length = (low + high) / 2, float(np.linalg.norm(high - low))
+    eye = rrb.EyeControls3D(position=middle + length * EYE, look_target=middle)
     plots = [
         rrb.TimeSeriesView(
             name=title, origin="/", contents=[curve.path.replace(".", "/") for curve in curves]
@@ -237,4 +246,6 @@ def _blueprint(scene: EpisodeScene) -> rrb.Blueprint:
             column_shares=list(layouts.SHARES),
         ),
         rrb.TimePanel(timeline="time", expanded=False),
+        rrb.BlueprintPanel(expanded=False),
+        rrb.SelectionPanel(expanded=False),
     )

@@ -5,9 +5,10 @@ import json
 
 import pytest
 from matplotlib import pyplot as plt
+from mcap.reader import make_reader
 from omegaconf import OmegaConf
 
-from resc.errors import CheckpointError
+from resc.errors import CheckpointError, ConfigError
 from resc.evaluation.campaign import evaluate
 from resc.learning.checkpoint import Policy
 from resc.recording.reader import RolloutLog
@@ -78,6 +79,48 @@ def test_both_sets_of_rules_are_recorded(run):
     log = RolloutLog(folder / "rollouts_own_routes")
     assert len(log.episodes) == 2
     assert "boxes_w" in log.world
+
+
+def test_first_best_and_worst_flights_are_written_as_scenes(run):
+    folder, text = run
+    found = sorted(path.name for path in (folder / "scenes").iterdir())
+    expected = []
+    for recording, course in (("rollouts", "corridor"), ("rollouts_own_routes", "laid_out")):
+        flights = RolloutLog(folder / recording).episodes.sort("env_id")
+        worst, best = (flights.sort("success", "return_")["env_id"][row] for row in (0, -1))
+        assert best != worst
+        marks = {best: "best", worst: "worst"}
+        expected += [f"{course}_flight_0{number}_{marks[number]}.mcap" for number in (0, 1)]
+    assert found == expected
+    assert f"scenes    {folder / 'scenes'}" in text
+    assert text.endswith("4 3-D scenes for Foxglove")
+
+
+def test_scene_is_that_of_the_flight_it_names(run):
+    folder, _ = run
+    for number in (0, 1):
+        (path,) = (folder / "scenes").glob(f"laid_out_flight_0{number}_*.mcap")
+        with path.open("rb") as file:
+            facts = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+        assert facts["resc.episode"]["env_id"] == str(number)
+
+
+def test_flights_recorded_in_part_leave_a_sentence_in_place_of_scenes(evaluation, policy, tmp_path):
+    config = evaluation("flights=1", "recorder=mcap", "recorder.every_n_batches=2")
+    text = evaluate(config, policy, {"corridor": SCENES["corridor"]}, tmp_path)
+    assert text.splitlines()[-1].startswith("No (more) 3-D scenes: Of 1 of these 1 episodes")
+    assert (tmp_path / "summary.json").exists()
+
+
+def test_without_recorder_there_are_no_scenes(evaluation, policy, tmp_path):
+    text = evaluate(evaluation("flights=1"), policy, {"corridor": SCENES["corridor"]}, tmp_path)
+    assert not (tmp_path / "scenes").exists()
+    assert "scenes" not in text.splitlines()[-1]
+
+
+def test_negative_number_of_scenes_is_refused(evaluation, policy, tmp_path):
+    with pytest.raises(ConfigError, match="scene_files is -1; expected 0 or more"):
+        evaluate(evaluation("scene_files=-1"), policy, SCENES, tmp_path)
 
 
 def test_run_stores_its_configuration_and_is_the_latest(run):

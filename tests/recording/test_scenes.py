@@ -6,28 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from omegaconf import OmegaConf
-from tensordict import TensorDict
+from street import copy_of, fly_street
 
 from resc import keys
-from resc.build import build_env
 from resc.envs.stages import SUCCESS
-from resc.errors import RecordingError
-from resc.evaluation.flights import fly
-from resc.recording import RolloutLog, RolloutRecorder, layouts
+from resc.errors import ConfigError, RecordingError
+from resc.recording import layouts
 from resc.recording.episode_scene import load_scene
 from resc.recording.foxglove import write_scene
 from resc.recording.layouts import DEFAULT
-from resc.recording.rollouts import open_recorder
-from resc.scenes.layout import Layout
-from resc.scenes.pool import ScenePool
 
 DT_NS = 20_000_000
-ROUTE = [[1.5, 1.0, 1.0], [2.0, 1.0, 1.0], [2.0, 1.0, 1.0]]
-BOX = [3.0, 0.5, 0.4, 1.0]
 ON_EVERY_STEP = (
     ("/tf", "foxglove.FrameTransform"),
     ("/drone/pose", "foxglove.PoseInFrame"),
@@ -49,40 +40,11 @@ ONCE = (
 )
 
 
-class Street:
-    """Two control points ahead of the start, then an obstacle."""
-
-    def sample(self, count, generator):
-        return Layout(
-            boxes_w=torch.tensor([BOX, [1e6, 1e6, 0.0, 0.0]]).expand(count, 2, 4).clone(),
-            origin_w=torch.zeros(count, 2),
-            size=torch.tensor([5.0, 2.0]).expand(count, 2).clone(),
-            start_w=torch.tensor([1.0, 1.0, 1.0]).expand(count, 3).clone(),
-            route_w=torch.tensor(ROUTE).expand(count, 3, 3).clone(),
-            route_length=torch.full((count, 1), 2),
-        )
-
-
-def straight_on(observation):
-    """Tilts forward a little, with thrust to hold the height."""
-    action = torch.zeros(len(observation), 4)
-    action[:, 1], action[:, 3] = 0.05, 0.04
-    return action
-
-
 @pytest.fixture(scope="module")
 def log(compose, tmp_path_factory):
     """Two flights along the street, recorded."""
     config = compose("num_envs=2", "recorder=mcap", "task=from_rest")
-    config = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
-    pool = ScenePool(Street(), size=2, resolution_m=0.1, generator=torch.Generator())
-    env = build_env(config, pool, seed=3, in_order=True)
-    folder = tmp_path_factory.mktemp("street")
-    with open_recorder(
-        config, env.stages, directory=folder, outcomes=env.stages.outcomes, num_envs=2
-    ) as recorder:
-        fly(env, straight_on, recorder=recorder)
-    return RolloutLog(folder)
+    return fly_street(config, tmp_path_factory.mktemp("street"))
 
 
 @pytest.fixture(scope="module")
@@ -119,6 +81,14 @@ def test_topics_schemas_and_counts_are_the_documented_ones(log, messages):
         ("/log", "foxglove.Log"): 2 + passed,
     }
     assert counts == expected
+
+
+def test_every_topic_is_documented_with_its_schema(messages):
+    text = (Path(__file__).parents[2] / "docs/scenes.md").read_text()
+    rows = [line.split("|")[1:3] for line in text.splitlines() if line.startswith("| `/")]
+    documented = {(topic.strip(" `"), schema.strip()) for topic, schema in rows}
+    found = {(topic.replace("kgp_esdf", "<name>"), schema) for topic, schema, *_ in messages}
+    assert documented == {pair for pair in found if "esdf_patch" not in pair[0]}
 
 
 def test_times_count_from_the_beginning_and_agree_with_the_stamps(log, messages):
@@ -234,6 +204,7 @@ def test_file_says_whose_flight_it_is_and_carries_its_layouts(log, path):
         documents = {record.name: record.data for record in reader.iter_attachments()}
     assert metadata["resc.run"] == log.metadata
     assert metadata["resc.episode"]["index"] == "1"
+    assert metadata["resc.episode"]["file"] == log.files[0].name
     assert metadata["resc.episode"]["outcome"] == log.episodes["outcome"][1]
     assert documents["config.yaml"] == log.attachments["config.yaml"]
     foxglove = json.loads(documents["foxglove_layout.json"])
@@ -282,53 +253,53 @@ def test_default_layout_is_for_the_default_training(compose):
 
 
 def test_recording_without_scenes_is_refused_in_a_sentence(log, tmp_path):
-    bare = {"config.yaml": log.attachments["config.yaml"]}
-    with RolloutRecorder(
-        directory=tmp_path / "bare",
-        columns=log.columns,
-        dt_s=0.02,
-        num_envs=2,
-        metadata={},
-        attachments=bare,
-        outcomes=("success",),
-    ) as recorder:
-        recorder.put(log.batch(0), 0, ended(2))
+    bare = copy_of(log, tmp_path / "bare", scenes=False)
     with pytest.raises(RecordingError, match="Scene 0, in use in step 0, is not recorded"):
-        write_scene(RolloutLog(tmp_path / "bare"), 0, tmp_path / "scene.mcap")
+        write_scene(bare, 0, tmp_path / "scene.mcap")
     assert not (tmp_path / "scene.mcap").exists()
 
 
 def test_recording_of_other_columns_is_refused_in_a_sentence(log, tmp_path):
     kept = tuple(column for column in log.columns if column.key != keys.BODY_RATE_B)
-    with RolloutRecorder(
-        directory=tmp_path / "few",
-        columns=kept,
-        dt_s=0.02,
-        num_envs=2,
-        metadata={},
-        attachments=dict(log.attachments),
-        outcomes=("success",),
-    ) as recorder:
-        recorder.put(log.batch(0), 0, ended(2))
+    few = copy_of(log, tmp_path / "few", columns=kept)
     with pytest.raises(RecordingError, match=r"holds no column state\.body_rate_b"):
-        write_scene(RolloutLog(tmp_path / "few"), 0, tmp_path / "scene.mcap")
+        write_scene(few, 0, tmp_path / "scene.mcap")
+
+
+def test_scan_is_drawn_without_the_noise_of_the_flight(log, load_part, tmp_path):
+    config = log.config
+    config["observation"] = load_part("obstacle_observation", "depth_scan")
+    config["observation"]["depth_scan"]["beams"] = 3
+    scene = load_scene(copy_of(log, tmp_path / "scan", config=config), 0)
+    shapes = {shape.label: shape for shape in scene.sights["depth_scan"]}
+    x = float(scene.column(keys.POSITION_W)[0, 0])
+    # Straight on the way is free up to the box, whose surface begins at x = 3.
+    reach = float(shapes["depths"].places[0, 1, 0]) - x
+    assert 2.0 <= reach <= 2.1
+    assert shapes["beams without a reading"].places.isnan().all()
+
+
+def test_spherical_control_points_are_drawn_as_spheres(log, tmp_path):
+    config = log.config
+    config["task"]["control_points"].update({"half_height_m": None, "radius_m": 0.4})
+    path = write_scene(copy_of(log, tmp_path / "run", config=config), 0, tmp_path / "s.mcap")
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        first = next(iter(reader.iter_decoded_messages(topics=["/plan/columns"])))[3]
+    sizes = [sphere.size.z for sphere in first.entities[0].spheres]
+    assert sizes == [pytest.approx(0.8)] * 2
+    assert not first.entities[0].cylinders
+
+
+def test_config_that_names_a_foreign_class_needs_leave_to_build_it(log, tmp_path):
+    config = log.config
+    config["vehicle"]["_target_"] = "somewhere.Vehicle"
+    foreign = copy_of(log, tmp_path / "foreign", config=config)
+    with pytest.raises(ConfigError, match=r"vehicle\._target_ is 'somewhere\.Vehicle'"):
+        write_scene(foreign, 0, tmp_path / "scene.mcap")
 
 
 def test_place_that_cannot_be_written_is_a_sentence(log, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match=r"cannot be written: .* Choose another folder"):
         write_scene(log, 0, tmp_path / "file" / "scene.mcap")
-
-
-def ended(count):
-    """Episodes of three steps, one in each environment."""
-    zeros = torch.zeros(count, dtype=torch.int64)
-    return TensorDict(
-        {
-            "env_id": torch.arange(count), "episode": zeros, "start_step": zeros,
-            "end_step": zeros + 2, "length": zeros + 3, "return_": zeros.float(),
-            "difficulty": zeros.float(), "outcome": zeros, "scene": zeros,
-            "success": zeros.bool(),
-        },
-        batch_size=[count],
-    )  # fmt: skip

@@ -107,7 +107,7 @@ def lichtblick(reward_names: Sequence[str], observations: Sequence[str]) -> str:
     configs: dict[str, Any] = {"3D!flight": view(observations)}
     for number, (title, lines) in enumerate(curves(reward_names).items()):
         configs[f"Plot!{number}"] = {
-            "foxglovePanelTitle": title,
+            "lichtblickPanelTitle": title,
             "paths": [
                 {
                     "value": curve.path, "label": curve.label,
