@@ -302,3 +302,16 @@ def test_a_recording_without_a_configuration_says_what_it_has(tmp_path):
         RecordingError, match=r"no attachment 'config.yaml'; it has \['notes.txt'\]"
     ):
         _ = RolloutLog(tmp_path).config
+
+
+def test_a_chunk_that_contradicts_its_index_ends_what_is_read(whole, tmp_path):
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(whole)
+    chunks = open_source(path).chunks
+    start_time, end_time, size = 9, 17, 25  # places in the head of a chunk, which has no checksum
+    for number, chunk in enumerate(chunks):
+        for field in (start_time, end_time, size):
+            damaged = bytearray(whole[:-40])  # without a summary
+            damaged[chunk.offset + field + 3] ^= 1
+            path.write_bytes(damaged)
+            assert open_source(path).chunks == chunks[:number]
