@@ -25,6 +25,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # when started as a file
 
+import torch
 from omegaconf import DictConfig
 from tensordict import TensorDict
 from torch import Tensor
@@ -105,8 +106,11 @@ def write(trainer: Ppo, config: DictConfig, taken: list[Taken]) -> tuple[float, 
         clock = time.pthread_getcpuclockid(writer.ident)
         began = time.clock_gettime(clock)
         first = sum(file.stat().st_size for file in Path(folder).iterdir())
-        for batch in taken:
+        pool, renewed = trainer.env.pool, torch.arange(trainer.renew_scenes)
+        for number, batch in enumerate(taken):
             recorder.put(batch.batch, batch.start_step, batch.episodes, batch.starts)
+            entries = (renewed + number * len(renewed)) % len(pool)
+            record_world(recorder, pool, batch.start_step + len(batch.batch), entries)
         recorder.flush()
         cpu_s = time.clock_gettime(clock) - began
         recorder.close()
