@@ -72,8 +72,8 @@ def _check_file(path: Path, done: Checked) -> None:
     if source is None:
         return
     source.attachments()
-    counts = {topic: 0 for topic in source.topics}
-    for topic in counts:
+    counts = {}
+    for topic in source.topics:
         if topic == ROLLOUT:
             counts[topic] = len(batches(source)) * source.specification.num_envs
             continue

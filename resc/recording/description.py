@@ -67,7 +67,7 @@ _ARRAYS = {
         "step": ("steps", "first step of each, in control steps of the run"),
     },
 }
-_WORLD_KEYS = (
+WORLD_KEYS = (
     keys.MAP_ORIGIN_W,
     keys.MAP_SIZE,
     keys.BOXES_W,
@@ -76,7 +76,7 @@ _WORLD_KEYS = (
     keys.ROUTE_LENGTH,
     keys.SCENE_DIFFICULTY,
 )
-_START_KEYS = (
+START_KEYS = (
     keys.CLOCK,
     keys.SCENE_INDEX,
     keys.POSITION_W,
@@ -129,7 +129,7 @@ def _rows_after(topic: str, columns: Sequence[Column]) -> Iterable[Row]:
     if topic in _ARRAYS:
         for name, (unit, meaning) in _ARRAYS[topic].items():
             yield f"array `{name}`", ARRAY_FIELDS[torch.int64], unit, "", meaning
-        for key in _WORLD_KEYS if topic == WORLD else _START_KEYS:
+        for key in WORLD_KEYS if topic == WORLD else START_KEYS:
             name = key[-1] if topic == WORLD else ".".join(key)
             declared = keys.DECLARED[key]
             kind = ARRAY_FIELDS[declared.dtype]

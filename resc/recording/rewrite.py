@@ -93,9 +93,9 @@ def merge(paths: Sequence[Path], target: Path) -> Rewritten:
                     f"{source.path} and {head.path} differ in {name}; only files of one run, or of "
                     "one that was resumed, can be merged."
                 )
-    for one, other in pairwise(sources):
-        last, first = _end_step(one), _first_step(other)
-        if first < last:
+    for one, other in pairwise(source for source in sources if batches(source)):
+        first = batches(other)[0].start_step
+        if first < batches(one)[-1].start_step + batches(one)[-1].steps:
             raise RecordingError(
                 f"{one.path} and {other.path} both hold step {first}; only files of one run that "
                 "follow each other can be merged."
@@ -172,8 +172,6 @@ def _described(path: Path) -> Source:
 
 
 def _first_step(source: Source) -> int:
-    return min((batch.start_step for batch in batches(source)), default=0)
-
-
-def _end_step(source: Source) -> int:
-    return max((batch.start_step + batch.steps for batch in batches(source)), default=0)
+    """The first step that something in a file is about; a file may hold nothing but scenes."""
+    times = (chunk.start_time for chunk in source.chunks)
+    return min(times, default=0) // source.specification.dt_ns

@@ -2,6 +2,7 @@
 
 import random
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -342,6 +343,7 @@ def test_the_example_in_the_documentation_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = Path(__file__).parents[2] / "docs" / "recording.md"
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
-    assert blocks
-    for block in blocks:
-        exec(compile(block, str(page), "exec"), {})
+    assert len(blocks) == 6
+    for block, package in zip(blocks, (None, None, "pandas", None, None, "rerun"), strict=True):
+        if package is None or find_spec(package) is not None:
+            exec(compile(block, str(page), "exec"), {})

@@ -1,0 +1,196 @@
+"""The command line: what it prints and writes, and what it says to wrong input."""
+
+import polars as pl
+import pytest
+from matplotlib import pyplot as plt
+from small_run import record
+
+from resc.recording import RolloutLog
+from resc.recording.commands import build_parser, main
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "one"
+    record(folder / "rollouts")
+    return folder
+
+
+@pytest.fixture
+def call(capsys, monkeypatch, tmp_path):
+    """Calls a command in an empty folder: exit code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+
+    def called(*arguments):
+        with pytest.raises(SystemExit) as exit_:
+            main([str(argument) for argument in arguments])
+        code, (out, errors) = exit_.value.code, capsys.readouterr()
+        return (1, out, code) if isinstance(code, str) else (code or 0, out, errors)
+
+    return called
+
+
+def commands():
+    actions = build_parser()._subparsers._group_actions[0]
+    return sorted(actions.choices)
+
+
+def test_all_commands_are_there():
+    expected = "check episodes info merge parquet plot recover rerun scene schema"
+    assert commands() == expected.split()
+
+
+@pytest.mark.parametrize("command", commands())
+def test_help_of_a_command_ends_with_an_example_of_it(command, call):
+    code, out, _ = call(command, "--help")
+    assert code == 0
+    assert f"resc-log {command}" in out.partition("example:")[2]
+
+
+def test_info_tells_steps_outcomes_columns_and_facts(run, call):
+    code, out, _ = call("info", run)
+    assert code == 0
+    assert "120 of 3 environments in 4 batches" in out
+    assert "6 finished: 33.3% success, 33.3% collision, 33.3% time_limit" in out
+    assert "state.velocity_w      float32  m/s    world          x, y, z" in out
+    assert "seed         7" in out
+
+
+def test_episodes_are_filtered_sorted_and_limited(run, call, tmp_path):
+    where = "outcome != 'success' and length > 10"
+    code, out, _ = call("episodes", run, "--where", where, "--sort", "return_", "--csv")
+    assert code == 0
+    assert pl.read_csv(out.encode())["index"].to_list() == [1, 2, 4, 5]
+    table = ("episodes", run, "--sort", "length", "--reverse", "--limit", 1)
+    _, out, _ = call(*table)
+    assert out.splitlines()[1].split()[:5] == ["3", "2", "0", "0", "25"]
+    assert out.splitlines()[-1] == "1 of 6 shown, 6 in the recording"
+    assert call(*table, "--csv", "--out", "best.csv")[:2] == (0, "")
+    assert pl.read_csv(tmp_path / "best.csv")["outcome"].to_list() == ["success"]
+
+
+def test_plot_draws_an_episode(run, call, tmp_path):
+    assert call("plot", run, "--episode", -1)[:2] == (0, "episode_5.png\n")
+    height, width, _ = plt.imread(tmp_path / "episode_5.png").shape
+    assert width > height > 1000
+
+
+def test_plot_draws_an_episode_of_one_step(call, tmp_path):
+    record(tmp_path / "short", listed=shortened)
+    assert call("plot", "short", "--episode", 0, "--out", "short.png")[0] == 0
+
+
+def shortened(first, last):
+    from small_run import episodes
+
+    table = episodes(first, last)
+    table["end_step"], table["length"] = table["start_step"], table["length"] * 0 + 1
+    return table
+
+
+def test_commanded_rates_are_actions_scaled_and_delayed(run):
+    from resc.recording.plot import rate_command
+
+    log = RolloutLog(run)
+    steps = log.episode(2)
+    rates = rate_command(log, 2, steps)
+    action = steps["action"][:, :3].clamp(-1, 1).numpy()
+    assert rates[:2, 0].tolist() == pytest.approx([0.4, 0.2])  # 0.2 and 0.1 waited, limit 2 rad/s
+    assert rates[2:, 1] == pytest.approx(2 * action[:-2, 1])
+    assert rates[2:, 2] == pytest.approx(action[:-2, 2])
+
+
+def test_parquet_holds_the_rows_of_the_table(run, call, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert call("parquet", run)[0] == 0
+    assert pl.read_parquet(tmp_path / "steps.parquet").equals(RolloutLog(run).to_polars())
+    file = parquet.ParquetFile(tmp_path / "steps.parquet")
+    column = file.metadata.row_group(0).column(4)
+    assert (column.path_in_schema, column.compression) == ("state.position_w.x", "ZSTD")
+    assert "BYTE_STREAM_SPLIT" in column.encodings
+    assert file.schema_arrow.metadata[b"seed"] == b"7"
+    where = ("--where", "outcome = 'collision'", "--out", "some.parquet")
+    assert call("parquet", run, *where)[0] == 0
+    expected = RolloutLog(run).where(outcome="collision").to_polars()
+    assert pl.read_parquet(tmp_path / "some.parquet").equals(expected)
+
+
+def test_a_cut_file_is_recovered_merged_and_checked(run, call, tmp_path):
+    cut = tmp_path / "rollouts_00000.mcap.active"
+    cut.write_bytes((run / "rollouts" / "rollouts_00000.mcap").read_bytes()[:-400])
+    code, out, _ = call("check", cut)
+    assert code == 1
+    assert "is not complete" in out
+    assert out.splitlines()[-1].startswith("1 fault(s): 1 file(s), 4 batches")
+    assert call("recover", cut)[0] == 0
+    code, out, _ = call("check", "recovered_rollouts_00000.mcap")
+    assert (code, out) == (
+        0, "fine: 1 file(s), 4 batches, 120 environment steps, 6 episodes read\n"
+    )  # fmt: skip
+    assert call("merge", "recovered_rollouts_00000.mcap", "--out", "one.mcap")[0] == 0
+    assert len(RolloutLog(tmp_path / "one.mcap")) == 6
+
+
+def test_damage_makes_recover_end_with_1(run, call, tmp_path):
+    data = bytearray((run / "rollouts" / "rollouts_00000.mcap").read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "bad.mcap").write_bytes(data)
+    assert call("check", "bad.mcap")[0] == 1
+    code, out, _ = call("recover", "bad.mcap")
+    assert code == 1
+    assert out.startswith("left out: ")
+
+
+def test_an_output_that_exists_is_kept_unless_forced(run, call, tmp_path):
+    (tmp_path / "mine.png").write_text("precious")
+    command = ("plot", run, "--episode", 0, "--out", "mine.png")
+    code, _, errors = call(*command)
+    assert (code, errors) == (
+        1, "error: mine.png exists; name another file with --out, or add --force."
+    )  # fmt: skip
+    assert (tmp_path / "mine.png").read_text() == "precious"
+    assert call(*command, "--force")[0] == 0
+    assert plt.imread(tmp_path / "mine.png").shape[2] == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("info", "nowhere"), "No recording at nowhere"),
+        (("info", "text.mcap"), "is not an MCAP file"),
+        (("episodes", "RUN", "--where", "lenght > 3"), "lenght"),
+        (("episodes", "RUN", "--where", "length >"), "is not a condition in SQL"),
+        (("episodes", "RUN", "--where", "length"), "cannot be filtered like this"),
+        (("episodes", "RUN", "--sort", "retrun_"), "no 'retrun_'. Did you mean 'return_'"),
+        (("plot", "RUN", "--episode", "6"), "no episode 6; the recording holds 6"),
+        (("scene", "RUN", "--episode", "-7"), "no episode -7; the recording holds 6"),
+        (("plot", "RUN", "--episode", "0", "--out", "no/a.png"), "no is not a folder"),
+        (("plot", "bare", "--episode", "0"), "no attachment 'config.yaml'"),
+        (("plot", "stateless", "--episode", "0"), "has no state.position_w"),
+        (("merge", "RUN", "--out", "RUN/rollouts/rollouts_00000.mcap", "--force"), "one of the"),
+        (("recover", "text.mcap"), "is not an MCAP file"),
+        (("check", "nowhere"), "No recording at nowhere"),
+    ],
+)
+def test_wrong_input_is_answered_in_one_sentence(arguments, sentence, run, call, tmp_path):
+    (tmp_path / "text.mcap").write_text("a text, not a recording")
+    record(tmp_path / "bare", attachments={})
+    record(tmp_path / "stateless", fields=["action", "reward"])
+    code, out, errors = call(*(argument.replace("RUN", str(run)) for argument in arguments))
+    assert code == 1
+    assert errors.startswith("error: ")
+    assert sentence in errors
+    assert "\n" not in errors
+    assert out == ""
+
+
+def test_a_missing_argument_is_a_usage_error(call):
+    code, _, errors = call("plot", "somewhere")
+    assert code == 2
+    assert "--episode" in errors
+
+
+def test_schema_of_a_recording_names_its_reward_terms(run, call):
+    code, out, _ = call("schema", run)
+    assert code == 0
+    assert "| `reward_terms.progress`, `reward_terms.time` | repeated float | - |" in out

@@ -1,0 +1,33 @@
+"""The tables of topics and fields: they cover the schema, and the documentation holds them."""
+
+from pathlib import Path
+
+import torch
+
+from resc import keys
+from resc.recording.description import MEANINGS, START_KEYS, TOPICS, WORLD_KEYS, describe
+from resc.recording.schema import FIELDS, SCHEMA_NAMES
+
+PAGE = Path(__file__).parents[2] / "docs" / "recording.md"
+BEGIN, END = "<!-- python -m resc.recording schema -->", "<!-- end -->"
+
+
+def test_every_field_of_every_topic_has_a_meaning():
+    assert TOPICS.keys() == SCHEMA_NAMES.keys() == MEANINGS.keys()
+    for topic, fields in FIELDS.items():
+        assert MEANINGS[topic].keys() == fields.keys()
+
+
+def test_the_arrays_of_scenes_and_starts_are_those_of_the_environment(make_env):
+    env = make_env()
+    env.restart(torch.arange(env.num_envs))
+    scenes = {**env.pool.shared, **env.pool.tasks}.keys() - {keys.ESDF}
+    assert set(WORLD_KEYS) == scenes
+    world = env.world_of(torch.arange(1))
+    assert set(START_KEYS) == {key for key in world if key in keys.DECLARED}
+
+
+def test_the_documentation_holds_the_tables():
+    page = PAGE.read_text()
+    held = page.partition(BEGIN)[2].partition(END)[0].strip()
+    assert held == describe(), "run python -m resc.recording schema and put its output there"
