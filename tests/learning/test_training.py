@@ -83,6 +83,19 @@ def test_every_rollout_is_recorded_and_its_terms_sum_to_the_reward(compose, tmp_
     assert log.num_batches == 4
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_completes_the_recording(compose, tmp_path, number):
+    config = compose(*SMALL)
+    trainer = build_trainer(config)
+    with recorder_for(config, trainer, tmp_path / "rollouts") as recorder:
+        threading.Timer(0.5, os.kill, (os.getpid(), number)).start()
+        complete, _ = run(trainer, tmp_path, recorder, total_frames=10**9)
+    assert not complete
+    log = RolloutLog(tmp_path / "rollouts")
+    assert [file.name for file in log.files] == ["rollouts_00000.mcap"]
+    assert log.num_batches * trainer.batch_frames == trainer.frames > 0
+
+
 def test_full_recording_stops_training_with_the_checkpoint_saved(compose, tmp_path):
     config = compose(*SMALL, "recorder.max_gb=1e-6", "recorder.when_full=stop")
     trainer = build_trainer(config)
