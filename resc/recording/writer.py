@@ -46,7 +46,7 @@ class RolloutRecorder:
     kept, batches still waiting are lost. Call it from one thread only.
 
     Args:
-        compression: Codec of the chunks; lz4 costs half of zstd's time and 10 % more space.
+        compression: Codec of the chunks; lz4 costs half the time of zstd and 9 % more space.
         rotate_mb: Size [MB] at which a file is completed and the next one begun.
         max_gb: Budget [GB] for the recordings in `directory`, checked after each batch.
         when_full: At the budget, the next `put` raises, or the oldest complete files are deleted.
