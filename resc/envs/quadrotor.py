@@ -147,6 +147,20 @@ class QuadrotorEnv(EnvBase):
             )
         return self.observation
 
+    @torch.no_grad()
+    def begin(self, world: TensorDictBase) -> Tensor:
+        """Begins an episode with the given world in every row; returns its observation.
+
+        `world` [n] holds some keys of `world`; the others are as after a restart.
+        """
+        self.restart(torch.arange(self.num_envs))
+        given = {key: world[key].to(self.device) for key in self._world if key in world.keys(True)}
+        drawn = self._draw(self.step_draws, self.num_envs)
+        self._world, self.observation = self.stages.begin(
+            self._world | given, self.pool.shared, drawn
+        )
+        return self.observation
+
     def renew(self, count: int) -> Tensor:
         """Renews `count` scenes of the pool; returns the rows still flying in them [k].
 

@@ -218,9 +218,16 @@ class Stages(nn.Module):
                 tensors[key] = start.new_full((count, *_shape(key, term)), value)
         for term in terms.metrics:
             tensors[term.outputs[0]] = zero + term.start
+        return self.begin(tensors, shared, drawn)
+
+    def begin(
+        self, world: World, shared: World, drawn: Mapping[str, Tensor]
+    ) -> tuple[World, Tensor]:
+        """World and first observation of episodes that begin with the given world."""
+        tensors = {**world, **shared}
         for key in self.memory:
             tensors[key] = tensors[key[1:]]
-        for term in terms.sensors:
+        for term in self.terms.sensors:
             if all(key in tensors for key in term.reads):
                 term.run(tensors)
         observation = self._observe(tensors, drawn, first=True)

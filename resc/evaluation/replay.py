@@ -128,7 +128,7 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
     config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader
     if config["device"].startswith("cuda") and not torch.cuda.is_available():
         config["device"] = "cpu"
-    env = _environment(config, scene, log.num_envs)
+    env = environment_in(config, {name: a.unsqueeze(0) for name, a in scene.items()}, log.num_envs)
     put_back(env, world)
     listed = log.episodes.row(episode, named=True)
     cut = listed["outcome"] == RENEWED
@@ -142,19 +142,19 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
     return Replay(location, len(recorded), deviations, differing, env)
 
 
-def _environment(
-    config: Mapping[str, Any], scene: Mapping[str, Tensor], num_envs: int
+def environment_in(
+    config: Mapping[str, Any], scenes: Mapping[str, Tensor], num_envs: int
 ) -> QuadrotorEnv:
-    """As it was recorded, with a pool of the one scene."""
-    arrays = {field.name: scene[field.name].unsqueeze(0) for field in fields(Layout)}
+    """The environment of a configuration, in a pool of recorded scenes `[P, ...]`."""
+    layout = Layout(**{field.name: scenes[field.name] for field in fields(Layout)})
     pool = ScenePool(
-        LaidOut(Layout(**arrays)),
-        size=1,
+        LaidOut(layout),
+        size=len(layout),
         resolution_m=config["env"]["resolution_m"],
         generator=generator_for(0, "scene_layout"),
         device=config["device"],
     )
-    return build_env({**config, "num_envs": num_envs}, pool)
+    return build_env({**config, "num_envs": num_envs}, pool, in_order=True)
 
 
 def put_back(env: QuadrotorEnv, world: TensorDict) -> None:
@@ -163,7 +163,6 @@ def put_back(env: QuadrotorEnv, world: TensorDict) -> None:
     Raises:
         RecordingError: The recorded world has other parts than the environment's.
     """
-    env.restart(torch.arange(env.num_envs))
     recorded = set(world.keys(include_nested=True, leaves_only=True))
     if recorded != set(env.stages.persistent):
         parts = sorted(".".join(key) for key in recorded ^ set(env.stages.persistent))
@@ -171,9 +170,9 @@ def put_back(env: QuadrotorEnv, world: TensorDict) -> None:
             f"The recorded world and that of the simulator differ in {', '.join(parts)}; replay "
             "with the version that recorded it (metadata 'resc.run')."
         )
-    rows = world.expand(env.num_envs).clone().to(env.device)
+    rows = world.expand(env.num_envs).clone()
     rows[keys.SCENE_INDEX].zero_()
-    env.world = rows
+    env.begin(rows)
 
 
 def compare(

@@ -1,6 +1,6 @@
 """Some episodes of a recording: filtered, one after the other, or as one table."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -95,6 +95,18 @@ class Selection:
             raise RecordingError(
                 f"Episodes cannot be filtered like this: {str(error).splitlines()[0]}."
             ) from error
+
+    def take(self, rows: Sequence[int]) -> "Selection":
+        """These rows of `episodes`, in this order."""
+        return Selection(self._log, self.episodes[list(rows)])
+
+    def starts(self) -> TensorDict:
+        """All mutable state of the simulator before the first step of each, `[E]`."""
+        return self._log.starts(self._numbers.tolist())
+
+    def scenes(self) -> dict[str, torch.Tensor]:
+        """Obstacles, start and route that each was flown with, `[E, ...]`."""
+        return self._log.scenes(self._numbers.tolist())
 
     def to_tensordict(self) -> TensorDict:
         """The steps of all these episodes, one after the other, `[S]`.

@@ -1,0 +1,112 @@
+"""Recorded episodes to learn from: transitions in TorchRL's layout, in a replay buffer."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+from omegaconf import OmegaConf
+from tensordict import TensorDict
+from torch.nn.utils.rnn import pad_sequence
+from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayBuffer
+from tqdm import tqdm
+
+from resc import keys
+from resc.errors import RecordingError
+from resc.evaluation.replay import environment_in
+from resc.recording.selection import TRAJECTORY, Selection
+
+ROWS = 256
+"""Episodes flown again at once."""
+
+
+def replay_buffer(
+    episodes: Selection,
+    *,
+    batch_size: int,
+    config: Mapping[str, Any] | None = None,
+    scratch_dir: Path | None = None,
+) -> TensorDictReplayBuffer:
+    """A buffer of all transitions of recorded episodes, for TorchRL's losses.
+
+    Args:
+        episodes: `RolloutLog(...).where(...)`.
+        batch_size: Of `sample()`.
+        config: See `transitions`.
+        scratch_dir: Where to keep the transitions; in memory if None.
+    """
+    data = transitions(episodes, config=config)
+    storage = (
+        LazyTensorStorage(len(data))
+        if scratch_dir is None
+        else LazyMemmapStorage(len(data), scratch_dir=scratch_dir)
+    )
+    buffer = TensorDictReplayBuffer(storage=storage, batch_size=batch_size)
+    buffer.extend(data)
+    return buffer
+
+
+def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None) -> TensorDict:
+    """The steps of recorded episodes one after the other `[S]`, as TorchRL lays them out.
+
+    `observation`, `action`, `("collector", "traj_ids")` (the episode's `index`) and, under `next`,
+    `observation`, `reward`, `terminated`, `truncated`, `done`. Observations are not recorded: the
+    episodes are flown again with their recorded actions. So `config` may name others, and other
+    rewards, than those recorded; ends are the recorded ones. Noise and dropouts of observations are
+    drawn anew.
+
+    Args:
+        episodes: `RolloutLog(...).where(...)`.
+        config: Of the environment that observes; that of the recording if None.
+
+    Raises:
+        RecordingError: Not all steps, or not the start, of an episode are recorded.
+        ConfigError: The configuration builds no environment.
+    """
+    if config is None:
+        config = cast(dict[str, Any], OmegaConf.to_container(episodes.config, resolve=True))
+    if len(episodes) == 0:
+        raise RecordingError("No episode is left to learn from; loosen the condition of where().")
+    # Of similar length: a batch flies as long as its longest episode.
+    order = episodes.episodes["length"].arg_sort().to_list()
+    parts: dict[int, TensorDict] = {}
+    with tqdm(total=len(order), unit="episode", disable=None, leave=False) as bar:
+        for start in range(0, len(order), ROWS):
+            rows = order[start : start + ROWS]
+            parts |= zip(rows, _flown(episodes.take(rows), config), strict=True)
+            bar.update(len(rows))
+    return cast(TensorDict, torch.cat([parts[row] for row in range(len(order))]))
+
+
+@torch.no_grad()
+def _flown(episodes: Selection, config: Mapping[str, Any]) -> Iterator[TensorDict]:
+    """The transitions of each episode `[T]`, all flown at once."""
+    recorded = list(episodes)
+    count, longest = len(recorded), max(map(len, recorded))
+    env = environment_in(config, episodes.scenes(), count)
+    actions = pad_sequence([steps[keys.ACTION] for steps in recorded]).to(env.device)
+    world = episodes.starts()
+    world[keys.SCENE_INDEX] = torch.arange(count).unsqueeze(-1)
+    observations, rewards = [env.begin(world)], []
+    for step in range(longest):
+        out = env.advance(actions[step])
+        observations.append(out.observation)
+        rewards.append(out.reward)
+    seen, earned = torch.stack(observations), torch.stack(rewards)
+    for row, (number, steps) in enumerate(zip(episodes.episodes["index"], recorded, strict=True)):
+        length = len(steps)
+        ends = {name: steps[name].to(env.device) for name in ("terminated", "truncated")}
+        yield TensorDict(
+            {
+                "observation": seen[:length, row],
+                "action": actions[:length, row],
+                TRAJECTORY: torch.full((length,), number),
+                "next": {
+                    "observation": seen[1 : length + 1, row],
+                    "reward": earned[:length, row],
+                    "done": ends["terminated"] | ends["truncated"],
+                    **ends,
+                },
+            },
+            batch_size=[length],
+        )
