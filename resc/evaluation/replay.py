@@ -128,16 +128,21 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
     config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader
     if config["device"].startswith("cuda") and not torch.cuda.is_available():
         config["device"] = "cpu"
-    env = environment_in(config, {name: a.unsqueeze(0) for name, a in scene.items()}, log.num_envs)
+    # A recording may hold only some of the environments; they flew among all.
+    count = config.get("num_envs") or log.num_envs
+    env = environment_in(config, {name: a.unsqueeze(0) for name, a in scene.items()}, count)
     put_back(env, world)
     listed = log.episodes.row(episode, named=True)
     cut = listed["outcome"] == RENEWED
     deviations = compare(env, recorded, listed["env_id"], cut=cut)
     today = {**provenance(), "device": str(config["device"])}
+    if log.round_bits is not None:
+        today["mantissa bits"] = "23"
+    then = {**log.metadata, "mantissa bits": str(log.round_bits)}
     differing = {
-        name: (then, today[name])
-        for name, then in log.metadata.items()
-        if name in today and name != "git_dirty" and then != today[name]
+        name: (value, today[name])
+        for name, value in then.items()
+        if name in today and name != "git_dirty" and value != today[name]
     }
     return Replay(location, len(recorded), deviations, differing, env)
 
@@ -182,14 +187,18 @@ def compare(
 
     Where the episode was `cut` from outside, its last flags are not the simulator's.
     """
-    deviations = dict.fromkeys((*STATE, *OUTPUTS), 0.0)
+    if recorded.get(keys.ACTION, None) is None:
+        raise RecordingError(
+            "The recording has no column 'action', so nothing can be flown again; record with "
+            "recorder.fields=null."
+        )
+    deviations = {key: 0.0 for key in (*STATE, *OUTPUTS) if recorded.get(key, None) is not None}
     for number, step in enumerate(recorded.to(env.device)):
         found = {key: env.value_of(key) for key in STATE}
         out = env.advance(step[keys.ACTION].expand(env.num_envs, -1))
         found |= {key: getattr(out, key[0]) for key in OUTPUTS}
-        if cut and number == len(recorded) - 1:
-            found = {key: value for key, value in found.items() if key not in FLAGS}
-        for key, value in found.items():
-            apart = (value[row].double() - step[key].double()).abs().nan_to_num(torch.inf)
+        foreign = FLAGS if cut and number == len(recorded) - 1 else ()
+        for key in deviations.keys() - foreign:
+            apart = (found[key][row].double() - step[key].double()).abs().nan_to_num(torch.inf)
             deviations[key] = max(deviations[key], float(apart.max()))
     return deviations

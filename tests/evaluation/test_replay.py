@@ -84,6 +84,9 @@ def test_another_action_is_noticed(recording):
     deviations = compare(env, steps, row, cut=False)
     assert deviations[keys.BODY_RATE_B] > 1e-3
     assert deviations[keys.REWARD] > 0
+    with pytest.raises(RecordingError, match="no column 'action'"):
+        compare(env, steps.exclude("action"), row, cut=False)
+    assert keys.REWARD not in compare(env, steps.exclude("reward"), row, cut=False)
 
 
 def test_a_start_of_another_simulator_is_refused_by_its_parts(recording):
