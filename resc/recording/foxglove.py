@@ -3,7 +3,7 @@
 import mimetypes
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
 from foxglove.messages import (
@@ -56,6 +56,7 @@ from resc.recording.foxglove_messages import (
     sphere,
     stamp,
 )
+from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
 from resc.recording.scalars import Numbers, encode_scalars, scalar_schema
 
@@ -108,7 +109,8 @@ def write_scene(
     scene = load_scene(log, episode, allowed)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(scene, path)
+        with replacing(path) as unfinished, unfinished.open("wb") as file:
+            _write(scene, file)
     except OSError as error:
         raise RecordingError(
             f"{path} cannot be written: {error.strerror}. Choose another folder or free some space."
@@ -116,29 +118,26 @@ def write_scene(
     return path
 
 
-def _write(scene: EpisodeScene, path: Path) -> None:
-    temporary = path.with_name(path.name + ".tmp")  # a crash leaves no half of a scene
+def _write(scene: EpisodeScene, file: IO[bytes]) -> None:
     numbers = scene_numbers(scene)
-    with temporary.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
-        writer.start(profile="", library="resc")
-        writer.add_metadata("resc.run", scene.run)
-        writer.add_metadata("resc.episode", scene.facts)
-        seen = [topic.removeprefix("/observation/") for topic in _observation_types(scene)]
-        names = (scene.reward_names, seen)
-        documents = {
-            CONFIG: scene.config,
-            "foxglove_layout.json": layouts.foxglove(*names).encode(),
-            "lichtblick_layout.json": layouts.lichtblick(*names).encode(),
-        }
-        for name, data in documents.items():
-            kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
-            writer.add_attachment(create_time=0, log_time=0, name=name, media_type=kind, data=data)
-        channels = _channels(writer, scene, numbers)
-        for time_ns, topic, data in sorted(_messages(scene, numbers), key=lambda m: m.time_ns):
-            writer.add_message(channels[topic], time_ns, data, time_ns)
-        writer.finish()
-    temporary.replace(path)
+    writer = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
+    writer.start(profile="", library="resc")
+    writer.add_metadata("resc.run", scene.run)
+    writer.add_metadata("resc.episode", scene.facts)
+    seen = [topic.removeprefix("/observation/") for topic in _observation_types(scene)]
+    names = (scene.reward_names, seen)
+    documents = {
+        CONFIG: scene.config,
+        "foxglove_layout.json": layouts.foxglove(*names).encode(),
+        "lichtblick_layout.json": layouts.lichtblick(*names).encode(),
+    }
+    for name, data in documents.items():
+        kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
+        writer.add_attachment(create_time=0, log_time=0, name=name, media_type=kind, data=data)
+    channels = _channels(writer, scene, numbers)
+    for time_ns, topic, data in sorted(_messages(scene, numbers), key=lambda m: m.time_ns):
+        writer.add_message(channels[topic], time_ns, data, time_ns)
+    writer.finish()
 
 
 def _channels(writer: Writer, scene: EpisodeScene, numbers: dict[str, Numbers]) -> dict[str, int]:

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+import rerun as rr  # pyright: ignore[reportMissingImports]
+import rerun.blueprint as rrb  # pyright: ignore[reportMissingImports]
 from jaxtyping import Float
 
 from resc import keys
@@ -24,17 +26,10 @@ from resc.recording.appearance import (
     top_of_obstacles,
 )
 from resc.recording.episode_scene import EpisodeScene, load_scene
+from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
 from resc.recording.scalars import Numbers
 from resc.recording.sight import Shape
-
-try:
-    import rerun as rr  # pyright: ignore[reportMissingImports]
-    import rerun.blueprint as rrb  # pyright: ignore[reportMissingImports]
-except ModuleNotFoundError as missing:
-    raise RecordingError(
-        f"Rerun is not installed ({missing}); install it with: pip install 'resc[rerun]'."
-    ) from missing
 
 APPLICATION = "resc"
 LINE_M, RAY_M, DOT_M, TRAIL_M = 0.006, 0.004, 0.035, 0.015
@@ -63,16 +58,15 @@ def write_rerun(
             written.
     """
     scene = load_scene(log, episode, allowed)
-    temporary = path.with_name(path.name + ".tmp")  # a crash leaves no half of a recording
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch()
-        stream = rr.RecordingStream(APPLICATION, recording_id=f"{log.files[0].stem}#{episode}")
-        stream.save(temporary, default_blueprint=_blueprint(scene))
-        _send(stream, scene)
-        stream.flush()
-        stream.disconnect()
-        temporary.replace(path)
+        with replacing(path) as unfinished:
+            unfinished.touch()  # Rerun alone would not say why it cannot write there
+            stream = rr.RecordingStream(APPLICATION, recording_id=f"{log.files[0].stem}#{episode}")
+            stream.save(unfinished, default_blueprint=_blueprint(scene))
+            _send(stream, scene)
+            stream.flush()
+            stream.disconnect()
     except OSError as error:
         raise RecordingError(
             f"{path} cannot be written: {error.strerror}. Choose another folder or free some space."
@@ -83,7 +77,8 @@ def write_rerun(
 def _send(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     stream.send_recording_name(f"episode {scene.facts['index']}: {scene.facts['outcome']}")
     stream.send_property("episode", rr.AnyValues(False, **scene.facts))
-    stream.send_property("run", rr.AnyValues(False, **scene.run))
+    if scene.run:
+        stream.send_property("run", rr.AnyValues(False, **scene.run))
     _send_place(stream, scene)
     times = _seconds(scene, range(len(scene)))
     _send_vehicle(stream, scene, times)

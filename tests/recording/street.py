@@ -1,5 +1,6 @@
 """A short recorded flight past two control points, toward an obstacle."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,9 +61,9 @@ def copy_of(
     *,
     columns: tuple[Column, ...] | None = None,
     config: Any = None,
-    scenes: bool = True,
+    world: Mapping[str, Tensor] | None = None,
 ) -> RolloutLog:
-    """The first steps of a recording again, with other columns, configuration or no scenes."""
+    """The first steps of a recording again, with other columns, configuration or scenes."""
     attachments = dict(log.attachments)
     if config is not None:
         attachments["config.yaml"] = OmegaConf.to_yaml(config).encode()
@@ -70,8 +71,8 @@ def copy_of(
         directory=folder, columns=columns or log.columns, dt_s=log.dt_s, num_envs=2,
         metadata={}, attachments=attachments, outcomes=("success",),
     ) as recorder:  # fmt: skip
-        if scenes:
-            recorder.put_world(log.world, 0)
+        if world != {}:
+            recorder.put_world(world or log.world, 0)
         recorder.put(log.batch(0), 0, _ended_after_three_steps())
     return RolloutLog(folder)
 

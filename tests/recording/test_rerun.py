@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from street import fly_street
+import torch
+from street import copy_of, fly_street
 
 from resc import keys
 from resc.recording.episode_scene import load_scene
 from resc.recording.foxglove import write_scene
+from resc.scenes.layout import PARKED_M
 
 rr = pytest.importorskip("rerun", reason="the extra 'rerun' is not installed")
 
@@ -96,6 +98,16 @@ def test_scene_observation_and_log_are_there(log, chunks):
     times, texts = times_and_values(chunks, "/log", "TextLog:text")
     assert texts[-1][0].startswith(log.episodes["outcome"][1])
     assert times[-1] == pytest.approx(steps * 0.02)
+
+
+def test_scene_without_obstacles_is_a_recording(log, tmp_path):
+    from resc.recording.rerun_scene import write_rerun
+
+    nowhere = torch.tensor([PARKED_M, PARKED_M, 0.0, 0.0]).expand(2, 2, 4)
+    free = copy_of(log, tmp_path / "free", world={**log.world, "boxes_w": nowhere})
+    path = write_rerun(free, 0, tmp_path / "scene.rrd")
+    assert rerun("rrd", "verify", path).returncode == 0
+    assert [file.name for file in tmp_path.iterdir() if file.is_file()] == ["scene.rrd"]
 
 
 def test_blueprint_is_in_the_file(path):

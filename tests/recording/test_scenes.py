@@ -1,12 +1,15 @@
 """Scene files: what the documentation promises, decoded by stock readers."""
 
+import errno
 import json
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 from street import copy_of, fly_street
 
@@ -17,6 +20,7 @@ from resc.recording import layouts
 from resc.recording.episode_scene import load_scene
 from resc.recording.foxglove import write_scene
 from resc.recording.layouts import DEFAULT
+from resc.scenes.layout import PARKED_M
 
 DT_NS = 20_000_000
 ON_EVERY_STEP = (
@@ -184,6 +188,7 @@ def test_observation_is_seen_from_the_vehicle(log, messages):
     rows = np.frombuffer(cloud.data, "<f4").reshape(9, 5)
     esdf = scene.place.esdf
     x, y = here[:2]
+    assert rows[0, :2] == pytest.approx([x - 0.1, y + 0.1])
     assert rows[4, :2] == pytest.approx([x, y])
     assert rows[4, 3] == float(esdf[int(y / 0.1), int(x / 0.1)])
 
@@ -192,6 +197,9 @@ def test_log_tells_beginning_control_points_and_outcome(log, messages):
     told = of_topic(messages, "/log")
     assert told[0].message == "episode 1 begins: environment 1, scene 1, 2 control points"
     assert told[1].message == "control point 1 of 2 passed"
+    away = log.episode(1)[keys.POSITION_W][1:, 0] - 1.5  # the first control point is at x = 1.5
+    reached = 1 + int((away.abs() <= 0.5).nonzero()[0, 0])
+    assert told[1].timestamp.ToNanoseconds() == reached * DT_NS
     outcome = log.episodes["outcome"][1]
     assert told[-1].message.startswith(f"{outcome} after ")
     assert told[-1].level == (2 if outcome == SUCCESS else 3)
@@ -253,7 +261,7 @@ def test_default_layout_is_for_the_default_training(compose):
 
 
 def test_recording_without_scenes_is_refused_in_a_sentence(log, tmp_path):
-    bare = copy_of(log, tmp_path / "bare", scenes=False)
+    bare = copy_of(log, tmp_path / "bare", world={})
     with pytest.raises(RecordingError, match="Scene 0, in use in step 0, is not recorded"):
         write_scene(bare, 0, tmp_path / "scene.mcap")
     assert not (tmp_path / "scene.mcap").exists()
@@ -291,12 +299,39 @@ def test_spherical_control_points_are_drawn_as_spheres(log, tmp_path):
     assert not first.entities[0].cylinders
 
 
+def test_scene_without_obstacles_is_a_scene(log, tmp_path):
+    nowhere = torch.tensor([PARKED_M, PARKED_M, 0.0, 0.0]).expand(2, 2, 4)
+    free = copy_of(log, tmp_path / "free", world={**log.world, "boxes_w": nowhere})
+    with write_scene(free, 0, tmp_path / "scene.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = {
+            channel.topic: decoded for _, channel, _, decoded in reader.iter_decoded_messages()
+        }
+    assert not found["/world/obstacles"].entities[0].cubes
+    assert found["/world/obstacle_points"].data == b""
+    distances = np.frombuffer(found["/map/esdf_slice"].data, "<f4")[::2]
+    assert (distances == 3.0).all()  # where the distance field ends
+
+
 def test_config_that_names_a_foreign_class_needs_leave_to_build_it(log, tmp_path):
     config = log.config
     config["vehicle"]["_target_"] = "somewhere.Vehicle"
     foreign = copy_of(log, tmp_path / "foreign", config=config)
     with pytest.raises(ConfigError, match=r"vehicle\._target_ is 'somewhere\.Vehicle'"):
         write_scene(foreign, 0, tmp_path / "scene.mcap")
+
+
+def test_disk_that_fills_up_leaves_no_half_of_a_scene(log, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    path = write_scene(log, 0, tmp_path / "scene.mcap")
+    before = path.read_bytes()
+    monkeypatch.setattr(Writer, "finish", full)
+    with pytest.raises(RecordingError, match="cannot be written: No space left on device"):
+        write_scene(log, 1, path)
+    assert [file.name for file in tmp_path.iterdir()] == ["scene.mcap"]
+    assert path.read_bytes() == before
 
 
 def test_place_that_cannot_be_written_is_a_sentence(log, tmp_path):
