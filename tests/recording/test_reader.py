@@ -347,3 +347,17 @@ def test_the_example_in_the_documentation_runs(tmp_path, monkeypatch):
     for block, package in zip(blocks, (None, None, "pandas", None, None, "rerun"), strict=True):
         if package is None or find_spec(package) is not None:
             exec(compile(block, str(page), "exec"), {})
+
+
+def test_a_run_is_read_once_whatever_names_it_has(tmp_path):
+    whole = rollout(40, 4)
+    with recorder(tmp_path / "a" / "rollouts", 4) as target:
+        put_all(target, whole, 20)
+    (tmp_path / "latest").symlink_to(tmp_path / "a")
+    (tmp_path / "b").mkdir()
+    for location in (tmp_path / "a", tmp_path / "latest", str(tmp_path / "*")):
+        assert RolloutLog(location).start_steps == [0, 20]
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes((tmp_path / "a" / "rollouts" / "rollouts_00000.mcap").read_bytes())
+    with pytest.raises(RecordingError, match="hold the same steps; leave one of them out"):
+        RolloutLog(str(tmp_path / "*"))
