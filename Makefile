@@ -5,8 +5,8 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 PYTHON ?= python3.13 python3.12 python3.11 python3
 ARGS ?=
-# All but ray, which is large.
-EXTRAS := dev benchmark joblib optuna slurm
+# All but ray and rerun, which are large.
+EXTRAS := dev benchmark dataframes joblib optuna slurm
 
 .PHONY: demo train reproduce test check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
