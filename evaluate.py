@@ -40,7 +40,8 @@ def main(config: DictConfig) -> None:
             return
         scenes = compose_scenes(config)
         policy = load_policy(Path(config["policy"]), config["device"])
-        print(evaluate(config, policy, scenes, folder))
+        overrides = HydraConfig.get().overrides.task
+        print(evaluate(config, policy, scenes, folder, overrides))
     except RescError as error:
         sys.exit(f"error: {error}")
 

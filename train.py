@@ -55,6 +55,8 @@ def run(config: DictConfig, folder: Path) -> None:
         directory=folder / "rollouts",
         outcomes=(*stages.outcomes, RENEWED),
         num_envs=config["num_envs"],
+        policy=trainer.networks.policy,
+        overrides=HydraConfig.get().overrides.task,
     )
     logger = build(config["logger"], "logger", folder=folder)
     table = ProgressTable(folder / "progress.csv", trainer.frames)
@@ -77,11 +79,8 @@ def run(config: DictConfig, folder: Path) -> None:
     save_policy(folder, trainer.networks, stages, config)
     if table.rows:
         draw_learning_curve(table.rows, folder / "learning_curve.png")
-    summary = {
-        "frames": trainer.frames,
-        "wall_s": wall_s,
-        "frames_per_s": (trainer.frames - before) / wall_s,
-    }
+    speed = (trainer.frames - before) / wall_s
+    summary = {"frames": trainer.frames, "wall_s": wall_s, "frames_per_s": speed}
     if not complete:
         finish_run(folder, summary)
         sys.exit(
@@ -90,10 +89,8 @@ def run(config: DictConfig, folder: Path) -> None:
     flights = fly_held_out(config, folder)
     rates = {"success_rate": flights.success_rate, "collision_rate": flights.collision_rate}
     finish_run(folder, {**summary, "episodes": len(flights), **rates})
-    print(
-        f"{rates['success_rate']:.1%} of {len(flights)} held-out episodes succeed. Results: "
-        f"{folder}"
-    )
+    succeed = f"{flights.success_rate:.1%} of {len(flights)} held-out episodes succeed"
+    print(f"{succeed}. Results: {folder}")
 
 
 if __name__ == "__main__":

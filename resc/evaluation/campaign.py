@@ -25,8 +25,16 @@ ROLLOUTS, SCENES = "rollouts", "scenes"
 Settings = Mapping[str, Any]
 
 
-def evaluate(config: Settings, policy: Policy, scenes: Mapping[str, Settings], folder: Path) -> str:
+def evaluate(
+    config: Settings,
+    policy: Policy,
+    scenes: Mapping[str, Settings],
+    folder: Path,
+    overrides: Sequence[str] = (),
+) -> str:
     """Flies every scene and leaves tables, pictures, recording and summary in the folder.
+
+    The recording names the `overrides` that the command gave.
 
     Returns the report, and where to find the rest.
 
@@ -47,7 +55,7 @@ def evaluate(config: Settings, policy: Policy, scenes: Mapping[str, Settings], f
     folder.mkdir(parents=True, exist_ok=True)
     OmegaConf.save(OmegaConf.create(dict(config)), folder / "config.yaml")
     rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}
-    flown = fly_courses(courses, policy, rules, folder)
+    flown = fly_courses(courses, policy, rules, folder, overrides)
     tables = [tabulate(course, flown[course.name]) for course in courses]
     reports = report_scenes(tables)
     pictured = []
@@ -80,7 +88,11 @@ def evaluate(config: Settings, policy: Policy, scenes: Mapping[str, Settings], f
 
 
 def fly_courses(
-    courses: Sequence[Course], policy: Policy, rules: Mapping[bool, Settings], folder: Path
+    courses: Sequence[Course],
+    policy: Policy,
+    rules: Mapping[bool, Settings],
+    folder: Path,
+    overrides: Sequence[str] = (),
 ) -> dict[str, Flights]:
     """The flights of every course: all at once where the same rules hold.
 
@@ -89,10 +101,12 @@ def fly_courses(
         policy: What flies.
         rules: Settings of the environment, by whether the scenes bring their own routes.
         folder: Where the recordings go, each set of rules in one of its own.
+        overrides: Of the command, for the recordings.
     """
     flown: dict[str, Flights] = {}
     for directory, group in _flown_together(courses, folder).items():
-        flown |= _fly_together(group, policy, rules[group[0].own_routes], directory)
+        settings = rules[group[0].own_routes]
+        flown |= _fly_together(group, policy, settings, directory, overrides)
     return flown
 
 
@@ -108,7 +122,11 @@ def _flown_together(courses: Sequence[Course], folder: Path) -> dict[Path, list[
 
 
 def _fly_together(
-    courses: Sequence[Course], policy: Policy, settings: Settings, directory: Path
+    courses: Sequence[Course],
+    policy: Policy,
+    settings: Settings,
+    directory: Path,
+    overrides: Sequence[str],
 ) -> dict[str, Flights]:
     env = build_flying_env(courses, settings)
     policy.require_layout(env.stages)
@@ -118,6 +136,8 @@ def _fly_together(
         directory=directory,
         outcomes=env.stages.outcomes,
         num_envs=env.num_envs,
+        policy=policy.head,
+        overrides=overrides,
     )
     try:
         flights = fly(env, policy, recorder=recorder)

@@ -1,5 +1,6 @@
 """Which columns a rollout of the environment has, and the recorder for them."""
 
+import hashlib
 import platform
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -10,6 +11,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict
+from torch import nn
 
 from resc import keys
 from resc.build import build
@@ -38,12 +40,25 @@ def rollout_columns(stages: Stages) -> tuple[Column, ...]:
 
 
 def open_recorder(
-    config: DictConfig, stages: Stages, *, directory: Path, outcomes: tuple[str, ...], num_envs: int
+    config: DictConfig,
+    stages: Stages,
+    *,
+    directory: Path,
+    outcomes: tuple[str, ...],
+    num_envs: int,
+    policy: nn.Module | None = None,
+    overrides: Sequence[str] = (),
 ) -> RolloutRecorder | None:
-    """A run's recorder with metadata and configuration attached; None where recorder=none."""
+    """A run's recorder with metadata and configuration attached; None where recorder=none.
+
+    The metadata name the `policy` that flies first by its digest, and the command's `overrides`.
+    """
     if not config.get("recorder"):
         return None
     metadata = {**provenance(), "seed": str(config["seed"]), "device": str(config["device"])}
+    metadata |= {"overrides": " ".join(overrides)}
+    if policy is not None:
+        metadata["policy_sha256"] = digest(policy)
     return build(
         config["recorder"],
         "recorder",
@@ -92,6 +107,14 @@ def with_success(episodes: TensorDict | None) -> TensorDict | None:
     if episodes is not None:
         episodes["success"] = episodes["outcome"] == 0
     return episodes
+
+
+def digest(policy: nn.Module) -> str:
+    """SHA-256 of a network's names and weights."""
+    found = hashlib.sha256()
+    for name, value in policy.state_dict().items():
+        found.update(name.encode() + value.cpu().numpy().tobytes())
+    return found.hexdigest()
 
 
 def provenance() -> dict[str, str]:

@@ -12,6 +12,7 @@ from resc.errors import CheckpointError, ConfigError
 from resc.evaluation.campaign import evaluate
 from resc.learning.checkpoint import Policy
 from resc.recording.reader import RolloutLog
+from resc.recording.rollouts import digest
 
 WALL = [2.5, 0.0, 0.5, 1.5]
 SCENES = {
@@ -38,7 +39,7 @@ def run(evaluation, policy, tmp_path_factory):
     """Two flights in each of two scenes: the folder, and what was printed."""
     folder = tmp_path_factory.mktemp("evaluation") / "runs" / "2025-11-22" / "10-00-00_evaluate"
     config = evaluation("flights=2", "policy=somewhere", "recorder=mcap", "seed=4")
-    return folder, evaluate(config, policy, SCENES, folder)
+    return folder, evaluate(config, policy, SCENES, folder, ["flights=2", "seed=4"])
 
 
 def test_summary_counts_frames_and_scenes(run):
@@ -79,6 +80,15 @@ def test_both_sets_of_rules_are_recorded(run):
     log = RolloutLog(folder / "rollouts_own_routes")
     assert len(log.episodes) == 2
     assert "boxes_w" in log.world
+
+
+def test_a_recording_names_the_command_and_the_policy(run, policy):
+    folder, _ = run
+    metadata = RolloutLog(folder / "rollouts").metadata
+    assert metadata["overrides"] == "flights=2 seed=4"
+    assert metadata["policy_sha256"] == digest(policy.head)
+    assert metadata["seed"] == "4"
+    assert len(metadata["git_commit"]) == 40
 
 
 def test_first_best_and_worst_flights_are_written_as_scenes(run):
