@@ -1,5 +1,8 @@
 """Recorded episodes as transitions: what was seen, done and earned, step by step."""
 
+import re
+from pathlib import Path
+
 import pytest
 import torch
 from test_ppo import SMALL
@@ -78,6 +81,21 @@ def test_a_buffer_samples_whole_transitions(flown, tmp_path, on_disk):
     same = (data["observation"] == sample["observation"][0]).all(-1)
     assert same.any()
     assert on_disk == (scratch is not None and any(scratch.iterdir()))
+
+
+def test_the_example_in_the_documentation_runs(flown, tmp_path, monkeypatch):
+    log, _ = flown
+    (tmp_path / "runs" / "latest").mkdir(parents=True)
+    (tmp_path / "runs" / "latest" / "rollouts").symlink_to(log.files[0].parent)
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[2] / "docs" / "recording.md").read_text()
+    section = page.partition("## Learning from recordings")[2]
+    (block,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    untrained = block.replace("success=True", "complete=True")
+    assert untrained != block
+    names = {}
+    exec(untrained, names)
+    assert names["sample"].shape == (256,)
 
 
 def test_nothing_to_learn_from_is_refused(flown):
