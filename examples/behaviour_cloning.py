@@ -23,11 +23,15 @@ from tqdm import trange
 from resc import schema
 from resc.build import build, build_stages
 from resc.errors import RescError
+from resc.evaluation.replay import recorded_config
 from resc.launch import CONF, explain
 from resc.learning.assemble import fly_held_out
 from resc.learning.checkpoint import save_policy
 from resc.learning.offline import replay_buffer
 from resc.recording import RolloutLog
+
+SEES = ("env", "observation")
+"""Groups of the configuration that say what the student sees."""
 
 
 def main() -> None:
@@ -58,9 +62,8 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
     torch.set_num_threads(config["threads"])
     flights = RolloutLog(args.recording).where(success=True)
     flights = flights.take(range(min(args.episodes, len(flights))))
-    recorded = OmegaConf.to_container(flights.config, resolve=True)
-    student = OmegaConf.to_container(config, resolve=True)
-    sees = {group: student[group] for group in ("env", "observation")}
+    recorded = recorded_config(flights, config["allowed_targets"])
+    sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
     buffer = replay_buffer(flights, batch_size=args.batch, config={**recorded, **sees})
     stages = build_stages(config)
     networks = build(

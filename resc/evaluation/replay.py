@@ -25,6 +25,7 @@ from resc.learning.ppo import RENEWED
 from resc.math.sampling import generator_for
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS, provenance
+from resc.recording.selection import Selection
 from resc.scenes.layout import Layout
 from resc.scenes.pool import ScenePool
 
@@ -124,10 +125,7 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
     path, episode = parse(location)
     log = RolloutLog(path)
     recorded, world, scene = log.episode(episode), log.start(episode), log.scene(episode)
-    config = cast(dict[str, Any], OmegaConf.to_container(log.config, resolve=True))
-    config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader
-    if config["device"].startswith("cuda") and not torch.cuda.is_available():
-        config["device"] = "cpu"
+    config = recorded_config(log, allowed)
     # A recording may hold only some of the environments; they flew among all.
     count = config.get("num_envs") or log.num_envs
     env = environment_in(config, {name: a.unsqueeze(0) for name, a in scene.items()}, count)
@@ -145,6 +143,15 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
         if name in today and name != "git_dirty" and value != today[name]
     }
     return Replay(location, len(recorded), deviations, differing, env)
+
+
+def recorded_config(log: RolloutLog | Selection, allowed: Sequence[str] = ()) -> dict[str, Any]:
+    """The configuration of a recording, for this machine, with the prefixes its reader allows."""
+    config = cast(dict[str, Any], OmegaConf.to_container(log.config, resolve=True))
+    config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader
+    if config["device"].startswith("cuda") and not torch.cuda.is_available():
+        config["device"] = "cpu"
+    return config
 
 
 def environment_in(

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import torch
-from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch.nn.utils.rnn import pad_sequence
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayBuffer
@@ -13,7 +12,7 @@ from tqdm import tqdm
 
 from resc import keys
 from resc.errors import RecordingError
-from resc.evaluation.replay import environment_in
+from resc.evaluation.replay import environment_in, recorded_config
 from resc.recording.selection import TRAJECTORY, Selection
 
 ROWS = 256
@@ -64,7 +63,7 @@ def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None)
         ConfigError: The configuration builds no environment.
     """
     if config is None:
-        config = cast(dict[str, Any], OmegaConf.to_container(episodes.config, resolve=True))
+        config = recorded_config(episodes)
     if len(episodes) == 0:
         raise RecordingError("No episode is left to learn from; loosen the condition of where().")
     # Of similar length: a batch flies as long as its longest episode.
@@ -83,7 +82,8 @@ def _flown(episodes: Selection, config: Mapping[str, Any]) -> Iterator[TensorDic
     """The transitions of each episode `[T]`, all flown at once."""
     recorded = list(episodes)
     count, longest = len(recorded), max(map(len, recorded))
-    env = environment_in(config, episodes.scenes(), count)
+    # Uncompiled: a batch of another size, flown once, is not worth compiling for.
+    env = environment_in({**config, "compile": False}, episodes.scenes(), count)
     actions = pad_sequence([steps[keys.ACTION] for steps in recorded]).to(env.device)
     world = episodes.starts()
     world[keys.SCENE_INDEX] = torch.arange(count).unsqueeze(-1)
