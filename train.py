@@ -86,7 +86,7 @@ def run(config: DictConfig, folder: Path) -> None:
         sys.exit(
             f"Stopped after {trainer.frames} frames. Go on with: python train.py resume={folder}"
         )
-    flights = fly_held_out(config, folder)
+    flights = fly_held_out(config, folder, HydraConfig.get().overrides.task)
     rates = {"success_rate": flights.success_rate, "collision_rate": flights.collision_rate}
     finish_run(folder, {**summary, "episodes": len(flights), **rates})
     succeed = f"{flights.success_rate:.1%} of {len(flights)} held-out episodes succeed"

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 
 from resc.errors import ConfigError, RecordingError
 from resc.evaluation.courses import Course, lay_out
-from resc.evaluation.flights import Flights, fly
+from resc.evaluation.flights import Flights, fly_recorded
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
 from resc.evaluation.run_folder import finish_run
@@ -19,7 +19,7 @@ from resc.evaluation.statistics import join, report_scenes, tabulate
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
 from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
-from resc.recording.rollouts import open_recorder, provenance
+from resc.recording.rollouts import provenance
 
 ROLLOUTS, SCENES = "rollouts", "scenes"
 Settings = Mapping[str, Any]
@@ -129,21 +129,7 @@ def _fly_together(
     overrides: Sequence[str],
 ) -> dict[str, Flights]:
     env = build_flying_env(courses, settings)
-    policy.require_layout(env.stages)
-    recorder = open_recorder(
-        OmegaConf.create(dict(settings)),
-        env.stages,
-        directory=directory,
-        outcomes=env.stages.outcomes,
-        num_envs=env.num_envs,
-        policy=policy.head,
-        overrides=overrides,
-    )
-    try:
-        flights = fly(env, policy, recorder=recorder)
-    finally:
-        if recorder is not None:
-            recorder.close()
+    flights = fly_recorded(env, policy, settings, directory, overrides)
     flown, first = {}, 0
     for course in courses:
         flown[course.name] = flights.rows(first, first + len(course))

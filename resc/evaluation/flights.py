@@ -1,11 +1,14 @@
 """Closed-loop flights: every row of an environment flies exactly one episode."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 from tqdm import tqdm
@@ -14,6 +17,8 @@ from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError
 from resc.evaluation.flight_log import FlightLog
+from resc.learning.checkpoint import Policy as TrainedPolicy
+from resc.recording.rollouts import open_recorder
 from resc.recording.writer import RolloutRecorder
 from resc.terms.terminations.collision import Collision
 from resc.terms.terminations.contact import Contact
@@ -136,6 +141,45 @@ def fly(
         velocity_w=velocity,
         wall_s=time.perf_counter() - began,
     )
+
+
+def fly_recorded(
+    env: QuadrotorEnv,
+    policy: TrainedPolicy,
+    config: Mapping[str, Any],
+    directory: Path,
+    overrides: Sequence[str] = (),
+    *,
+    trace: bool = True,
+) -> Flights:
+    """`fly` with the recorder of a configuration.
+
+    Args:
+        env: What is flown.
+        policy: What flies.
+        config: What the environment was built from; stored with the recording.
+        directory: Where the recording goes.
+        overrides: Of the command, for the recording.
+        trace: Whether positions and velocities are kept.
+
+    Raises:
+        CheckpointError: The policy expects another observation than the environment gives.
+    """
+    policy.require_layout(env.stages)
+    recorder = open_recorder(
+        OmegaConf.create(dict(config)),
+        env.stages,
+        directory=directory,
+        outcomes=env.stages.outcomes,
+        num_envs=env.num_envs,
+        policy=policy.head,
+        overrides=overrides,
+    )
+    try:
+        return fly(env, policy, trace=trace, recorder=recorder)
+    finally:
+        if recorder is not None:
+            recorder.close()
 
 
 def _state_of(env: QuadrotorEnv) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,8 @@ RUNS = "runs"
 LATEST = "latest"
 SUMMARY = "summary.json"
 CHECKPOINT, CONFIG, EPISODES = "checkpoint.pt", "config.yaml", "evaluation.csv"
+HELD_OUT = "held_out"
+"""Where the flights of `EPISODES` are recorded."""
 JOB, FAILURE, ORIGIN = "job.json", "failure.txt", "origin.json"
 """Of a sweep: what makes a run, why it failed, and, of all, command, commit and machine."""
 

@@ -1,14 +1,16 @@
 """From a training configuration to a trainer, new or resumed, and to its held-out evaluation."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig, open_dict
 
 from resc.build import build, build_env, build_pool, build_terms, load_config
 from resc.errors import ConfigError
-from resc.evaluation.flights import Flights, fly
+from resc.evaluation.flights import Flights, fly_recorded
 from resc.evaluation.held_out import held_out_rules, tabulate_episodes, write_episodes
-from resc.evaluation.run_folder import EPISODES
+from resc.evaluation.run_folder import EPISODES, HELD_OUT
 from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint, load_policy
 from resc.learning.ppo import Ppo
 from resc.planning.route import planner_for
@@ -90,17 +92,26 @@ def restore(trainer: Ppo, folder: Path, config: DictConfig) -> None:
         load_checkpoint(folder / CHECKPOINT, trainer)
 
 
-def fly_held_out(config: DictConfig, folder: Path) -> Flights:
+def fly_held_out(config: DictConfig, folder: Path, overrides: Sequence[str] = ()) -> Flights:
     """The policy's mean action over fixed episodes of the training law, on unseen scenes.
 
-    Groups under `held_out` replace training's. The episodes are also left in evaluation.csv.
+    Groups under `held_out` replace training's. The episodes are also left in evaluation.csv, and
+    recorded whole in the folder `held_out`, whatever part of the training is.
     """
     rules = held_out_rules(config)
     episodes, seed = rules["evaluation_episodes"], rules["evaluation_seed"]
+    rules |= {"num_envs": episodes, "seed": seed, "recorder": _whole(rules["recorder"])}
     pool = build_pool(
         rules, size=episodes, seed=seed, device=rules["device"], plan=planner_for(rules)
     )
-    env = build_env(rules | {"num_envs": episodes}, pool, seed=seed, in_order=True)
-    flights = fly(env, load_policy(folder, rules["device"]), trace=False)
+    env = build_env(rules, pool, seed=seed, in_order=True)
+    policy = load_policy(folder, rules["device"])
+    flights = fly_recorded(env, policy, rules, folder / HELD_OUT, overrides, trace=False)
     write_episodes(folder / EPISODES, tabulate_episodes(flights, pool))
     return flights
+
+
+def _whole(recorder: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a recorder without those that leave out environments or batches."""
+    everything = {"every_n_batches": 1, "envs": None}
+    return {**recorder, **{name: everything[name] for name in everything if name in recorder}}

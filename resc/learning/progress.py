@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from itertools import cycle
 from pathlib import Path
 from statistics import mean
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib import colormaps
@@ -17,6 +18,13 @@ from matplotlib import pyplot as plt
 
 STYLES = ("solid", "dashed", "dotted")
 """Of the lines of several difficulties."""
+_BESIDE: dict[str, Any] = {
+    "loc": "center left",
+    "bbox_to_anchor": (1.0, 0.5),
+    "frameon": False,
+    "fontsize": 8,
+}
+"""Of a legend to the right of its panel."""
 
 
 class CsvLogger:
@@ -128,13 +136,13 @@ def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
     rates.set(
         xlabel="frames [M]", ylabel="share of episodes", ylim=(0, 1), title="how episodes end"
     )
-    rates.legend(frameon=False, fontsize=8)
+    rates.legend(**_BESIDE)
     returns.plot(frames, [row.get("episode/return", float("nan")) for row in rows], color="black")
     returns.set(xlabel="frames [M]", title="return")
     for name in (n for n in rows[-1] if n.startswith("reward/")):
         terms.plot(frames, [row.get(name, float("nan")) for row in rows], label=name.split("/")[1])
     terms.set(xlabel="frames [M]", title="reward terms per step", yscale="symlog")
-    terms.legend(frameon=False, fontsize=8)
+    terms.legend(**_BESIDE)
     if eased:
         _draw_difficulty(panels[3], frames, rows, eased)
         _draw_success_by_difficulty(panels[4], rows, eased)

@@ -60,10 +60,15 @@ def recover(path: Path, target: Path) -> Rewritten:
     Raises:
         RecordingError: Not even the description at its beginning can be read.
     """
-    source = _described(path)
+    found = _described(path)
     # As of a file that was cut: batches of which something is missing are no reason to stop.
-    source = replace(source, complete=False)
+    source = replace(found, complete=False)
     done = Rewritten()
+    if found.complete:
+        kept = {chunk.offset for batch in batches(source) for chunk in batch.chunks}
+        rest = [c for c in source.chunks_of(ROLLOUT) if c.offset not in kept]
+        steps = dict.fromkeys(c.start_time // source.specification.dt_ns for c in rest)
+        done.lost += [f"{ROLLOUT}: the batch from step {step} is not whole" for step in steps]
     try:
         attachments = source.attachments()
     except RecordingError as error:

@@ -66,7 +66,8 @@ class Source:
 
     @contextmanager
     def _reading(self, chunk: ChunkRef) -> Iterator[bytes]:
-        with _blaming(self.path, chunk.offset, "copy it again, or read other batches"):
+        advice = "copy it again, read other batches, or write what is readable to another file "
+        with _blaming(self.path, chunk.offset, f"{advice}(python -m resc.recording recover)"):
             with open_recording(self.path) as file:
                 data = records.read_chunk(file, chunk)
             yield data

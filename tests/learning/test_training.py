@@ -9,8 +9,9 @@ from omegaconf import OmegaConf
 from test_ppo import SMALL
 
 from resc.errors import RecordingError
-from resc.learning.assemble import build_trainer, resumed
-from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint
+from resc.evaluation.replay import fly_again
+from resc.learning.assemble import build_trainer, fly_held_out, resumed
+from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint, save_policy
 from resc.learning.progress import CsvLogger, ProgressTable, describe, draw_learning_curve
 from resc.learning.training import train
 from resc.recording.reader import RolloutLog
@@ -106,6 +107,22 @@ def test_full_recording_stops_training_with_the_checkpoint_saved(compose, tmp_pa
     second = build_trainer(compose(*SMALL))
     load_checkpoint(tmp_path / CHECKPOINT, second)
     assert second.frames > 0
+
+
+def test_held_out_flights_are_recorded_whole_and_fly_again(compose, tmp_path):
+    """Whatever part of the training is recorded: here 8 environments, of which there are but 6."""
+    some = ("recorder.envs=8", "recorder.every_n_batches=3", "evaluation_episodes=6")
+    config = compose(*SMALL, *some, "termination.time_limit.limit_s=0.5")
+    trainer = build_trainer(config)
+    save_policy(tmp_path, trainer.networks, trainer.env.stages, config)
+    flights = fly_held_out(config, tmp_path, ["seed=0"])
+    log = RolloutLog(tmp_path / "held_out")
+    episodes = log.episodes.sort("env_id")
+    assert episodes["length"].to_list() == flights.steps.tolist()
+    assert episodes["outcome"].to_list() == flights.names
+    assert episodes["seed"].unique().to_list() == [config["evaluation_seed"]]
+    assert log.metadata["overrides"] == "seed=0"
+    assert fly_again(f"{tmp_path / 'held_out'}#5").largest == 0
 
 
 def test_resumed_run_takes_the_readers_allowed_targets_not_the_folders(compose, tmp_path):

@@ -4,13 +4,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_run import BATCHES, STEPS, episodes, record, rollout
+from small_run import BATCHES, EPISODES, STEPS, episodes, record, rollout
 
 from resc import keys
 from resc.errors import RecordingError
 from resc.recording import RolloutLog
 from resc.recording.check import check
+from resc.recording.decode import batches
 from resc.recording.rewrite import merge, recover
+from resc.recording.segments import FileHead, Segment
 from resc.recording.source import open_source
 
 
@@ -63,6 +65,37 @@ def test_a_damaged_batch_is_left_out_and_named_the_others_are_kept(path, tmp_pat
     assert len(done.lost) == 1
     assert "damaged at byte" in done.lost[0]
     assert RolloutLog(tmp_path / "saved.mcap").start_steps == [0, 20, 30]
+
+
+def test_a_batch_without_all_its_fragments_is_refused_and_left_out_by_recover(path, tmp_path):
+    """In a complete file, so that it was not cut: another program left one out."""
+    source, changed = open_source(path), tmp_path / "changed.mcap"
+    head = FileHead(source.specification, source.metadata, source.attachments())
+    segment = Segment(changed, head, "zstd")
+    for number, batch in enumerate(batches(source)):
+        rows = next(source.rows(batch.chunks[0], "/rollout"))
+        origin = batch.start_step * source.specification.dt_ns
+        messages = [(origin + i, i, rows.message(i)) for i in range(3 - (number == 1))]
+        segment.append("/rollout", messages, 0)
+    segment.finish()
+    with pytest.raises(RecordingError, match="was rearranged by another program"):
+        RolloutLog(changed)
+    done = recover(changed, tmp_path / "saved.mcap")
+    assert (done.batches, done.lost) == (3, ["/rollout: the batch from step 10 is not whole"])
+    assert RolloutLog(tmp_path / "saved.mcap").start_steps == [0, 20, 30]
+
+
+def test_damaged_episodes_are_refused_and_left_out_by_recover(path, tmp_path):
+    damage(path, "/episodes", 1)
+    with pytest.raises(RecordingError, match="write what is readable to another file"):
+        len(RolloutLog(path))
+    done = recover(path, tmp_path / "saved.mcap")
+    assert (done.batches, len(done.lost)) == (4, 1)
+    lost = episodes(10, 20)["end_step"].tolist()
+    kept = [end for end, _, _ in EPISODES if end not in lost]
+    assert RolloutLog(tmp_path / "saved.mcap").episodes["end_step"].to_list() == kept
+    faults = check(tmp_path / "saved.mcap").faults
+    assert any("an end is flagged and no episode listed" in fault for fault in faults)
 
 
 def test_files_of_a_run_become_one_with_the_same_content(tmp_path):
