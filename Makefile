@@ -8,7 +8,11 @@ ARGS ?=
 # All but ray and rerun, which are large.
 EXTRAS := dev benchmark dataframes joblib optuna slurm
 
-.PHONY: demo train reproduce test check check-format check-lint check-types format lock clean help
+# What `make readers` installs beside the lock file.
+NODE_PACKAGES := @mcap/core@2.2.2 @mcap/support@1.1.0 protobufjs@8.8.1
+RERUN := rerun-sdk==0.41.0
+
+.PHONY: demo train reproduce test readers check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
 
 demo: $(STAMP) ## Fly the shipped policy through the default scene.
@@ -23,6 +27,11 @@ reproduce: $(STAMP) ## Train the default policy anew and compare it with the sto
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
 	$(PY) -m pytest -n auto --maxprocesses 4 $(ARGS)
+
+readers: $(STAMP) ## Install Rerun and the MCAP reader of web viewers (needs npm), read recordings with them.
+	npm install --silent --no-audit --no-fund --prefix .cache/node $(NODE_PACKAGES)
+	$(PY) -m pip install --quiet --disable-pip-version-check '$(RERUN)'
+	NODE_PATH=$(CURDIR)/.cache/node/node_modules $(PY) -m pytest -rs tests/recording/test_conformance.py tests/recording/test_rerun.py
 
 check: check-format check-lint check-types ## Check format, lint and types.
 

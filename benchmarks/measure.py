@@ -4,8 +4,10 @@ import json
 import os
 import platform
 import statistics
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -80,6 +82,41 @@ class Flight:
             if len(rows):
                 self.env.restart(rows)
         return steps * self.env.num_envs
+
+
+class Job:
+    """A benchmark in a process of its own that measures one block whenever it is told to.
+
+    It reads a line for each block, the kind of it, and answers with the steps per second.
+    """
+
+    def __init__(
+        self, script: str, options: Sequence[str], environment: Mapping[str, str] | None = None
+    ) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, script, *options],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def start_block(self, kind: str) -> None:
+        """Tells the job what to measure; returns at once."""
+        self.process.stdin.write(f"{kind}\n")
+        self.process.stdin.flush()
+
+    def rate(self) -> float:
+        """The steps per second of the block started last."""
+        line = self.process.stdout.readline()
+        if not line:
+            raise SystemExit("A job ended early; its message is above.")
+        return float(line)
+
+    def close(self) -> None:
+        """Ends the process."""
+        self.process.stdin.close()
+        self.process.wait()
 
 
 def median_rate(run: Callable[[int], int], effort: Effort, *, threads: int) -> Rate:

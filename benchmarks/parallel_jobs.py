@@ -11,7 +11,6 @@ the other job; resc lets them sleep. Each row is a job's threads and one way of 
 import argparse
 import os
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # when started as a file
 
-from benchmarks.measure import Flight, load, machine, sentence, write_json
+from benchmarks.measure import Flight, Job, load, machine, sentence, write_json
 from resc.learning.assemble import build_trainer
 from resc.process import prepare_process
 from resc.schema import TrainSchema
@@ -45,40 +44,6 @@ class Row:
     def ratio(self) -> float:
         """Throughput of two jobs over that of one; 2 is perfect."""
         return self.together / self.alone
-
-
-class Job:
-    """A process that measures one block whenever it is told to."""
-
-    def __init__(self, args: argparse.Namespace, threads: int, waiting: str) -> None:
-        environment = {name: value for name, value in os.environ.items() if name not in OPENMP}
-        environment |= WAITING[waiting]
-        command = [sys.executable, __file__, "--job", str(threads), "--what", args.what]
-        options = ["--envs", str(args.envs), "--device", args.device, *["--quick"] * args.quick]
-        self.process = subprocess.Popen(
-            command + options,
-            env=environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-
-    def start_block(self) -> None:
-        """Tells the job to fly; returns at once."""
-        self.process.stdin.write("fly\n")
-        self.process.stdin.flush()
-
-    def rate(self) -> float:
-        """The steps per second of the block started last."""
-        line = self.process.stdout.readline()
-        if not line:
-            raise SystemExit("A job ended early; its message is above.")
-        return float(line)
-
-    def close(self) -> None:
-        """Ends the process."""
-        self.process.stdin.close()
-        self.process.wait()
 
 
 def work(args: argparse.Namespace) -> Callable[[int], int]:
@@ -111,13 +76,17 @@ def run_job(args: argparse.Namespace) -> None:
 
 def measure(args: argparse.Namespace, threads: int, waiting: str) -> Row:
     """One row: blocks alone and together in turn, so that both see the same machine."""
-    jobs = [Job(args, threads, waiting) for _ in range(JOBS)]
+    environment = {name: value for name, value in os.environ.items() if name not in OPENMP}
+    environment |= WAITING[waiting]
+    options = ["--job", str(threads), "--what", args.what, "--envs", str(args.envs)]
+    options += ["--device", args.device, *["--quick"] * args.quick]
+    jobs = [Job(__file__, options, environment) for _ in range(JOBS)]
     alone, together = [], []
     for block in range(1 + (3 if args.quick else 5)):
         rates = []
         for group in (jobs[:1], jobs):
             for job in group:
-                job.start_block()
+                job.start_block("fly")
             rates.append(sum(job.rate() for job in group))
         if block:  # the first one warms up
             alone.append(rates[0])

@@ -15,7 +15,6 @@ of a trained policy with its exploration noise, recorded in each compression.
 
 import argparse
 import statistics
-import subprocess
 import sys
 import tempfile
 import threading
@@ -31,7 +30,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from benchmarks import recording_read
-from benchmarks.measure import ROOT, load, machine, sentence, write_json
+from benchmarks.measure import ROOT, Job, load, machine, sentence, write_json
 from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_policy
 from resc.learning.ppo import Ppo
@@ -158,36 +157,6 @@ def measure_reader(args: argparse.Namespace) -> dict[str, float]:
 # The training
 
 
-class Job:
-    """A training in a process of its own, which flies one block whenever it is told to."""
-
-    def __init__(self, args: argparse.Namespace) -> None:
-        options = ["--envs", str(args.envs), "--threads", str(args.threads)]
-        self.process = subprocess.Popen(
-            [sys.executable, __file__, "--job", *options, *["--quick"] * args.quick],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-
-    def start_block(self, mode: str) -> None:
-        """Tells the job to train; returns at once."""
-        self.process.stdin.write(f"{mode}\n")
-        self.process.stdin.flush()
-
-    def rate(self) -> float:
-        """The steps per second of the block started last."""
-        line = self.process.stdout.readline()
-        if not line:
-            raise SystemExit("A job ended early; its message is above.")
-        return float(line)
-
-    def close(self) -> None:
-        """Ends the process."""
-        self.process.stdin.close()
-        self.process.wait()
-
-
 def run_job(args: argparse.Namespace) -> None:
     """The life of a job: get ready, then one block per line on standard input."""
     prepare_process(args.threads, "cpu")
@@ -224,7 +193,8 @@ def block_rate(trainer: Ppo, recorder: RolloutRecorder | None, seconds: float) -
 
 def measure_cost(args: argparse.Namespace, jobs: int) -> dict[str, float]:
     """Steps per second of all jobs together, without and with recording, and their ratio."""
-    running = [Job(args) for _ in range(jobs)]
+    options = ["--job", "--envs", str(args.envs), "--threads", str(args.threads)]
+    running = [Job(__file__, [*options, *["--quick"] * args.quick]) for _ in range(jobs)]
     pairs = []
     for number in range(1 + (3 if args.quick else 12)):
         rates = {}

@@ -1,8 +1,9 @@
 // Reads a recording as web viewers do: index, decompression, protobuf by the schemas in the file.
 // Prints for each topic how many messages it has and how many numbers they hold.
 //
-//   npm install --prefix DIR @mcap/core @mcap/support protobufjs
-//   NODE_PATH=DIR/node_modules node tests/recording/list_messages.cjs FILE
+//   NODE_PATH=.cache/node/node_modules node tests/recording/list_messages.cjs FILE
+//
+// `make readers` installs the packages there and runs the test that calls this.
 
 const { open } = require("node:fs/promises");
 const { McapIndexedReader } = require("@mcap/core");

@@ -201,7 +201,7 @@ def test_node_lists_the_same_messages_and_as_many_numbers(recorded):
     wanted = "for (const p of ['@mcap/core', '@mcap/support', 'protobufjs']) require(p)"
     node = shutil.which("node")
     if node is None or subprocess.run([node, "-e", wanted], capture_output=True).returncode != 0:
-        pytest.skip("node or its packages are not installed; see list_messages.cjs")
+        pytest.skip("node or its packages are not installed; make readers does it")
     path, _ = recorded
     script = Path(__file__).with_name("list_messages.cjs")
     done = subprocess.run([node, script, path], capture_output=True, text=True, check=True)
