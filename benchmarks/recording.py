@@ -149,7 +149,7 @@ def measure_reader(args: argparse.Namespace) -> dict[str, float]:
         figures = recording_read.reading_figures(folder, 3 if args.quick else 7)
     print("| reading | measured | goal |\n|---|---:|---:|")
     for name, value in figures.items():
-        print(f"| {name} | {value:,.4g} | {recording_read.GOALS.get(name, '')} |")
+        print(f"| {name} | {value:,.4g} | {recording_read.goal(name)} |")
     print()
     return figures
 
