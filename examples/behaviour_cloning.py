@@ -60,7 +60,7 @@ def main() -> None:
 def clone(args: argparse.Namespace, config: DictConfig) -> None:
     """Learns the recorded actions, saves the policy and flies held-out episodes."""
     torch.set_num_threads(config["threads"])
-    flights = RolloutLog(args.recording).where(success=True)
+    flights = RolloutLog(args.recording).where(success=True, complete=True)
     flights = flights.take(range(min(args.episodes, len(flights))))
     recorded = recorded_config(flights, config["allowed_targets"])
     sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
@@ -73,10 +73,11 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
         action_width=stages.terms.action.width,
         seed=config["seed"],
     )
+    networks.to(config["device"])
     optimizer = torch.optim.Adam(networks.head.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
     for _ in (bar := trange(args.updates, unit="update")):
-        batch = buffer.sample()
+        batch = buffer.sample().to(config["device"])
         action, _ = networks.policy(batch["observation"])
         loss = (action - batch["action"]).square().mean()
         optimizer.zero_grad()

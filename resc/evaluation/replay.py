@@ -3,6 +3,7 @@
 On the device and with the versions that recorded it, every number comes out again bit for bit.
 """
 
+import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -83,7 +84,7 @@ def parse(location: str) -> tuple[Path, int]:
         ConfigError: It is written otherwise.
     """
     path, _, episode = location.rpartition("#")
-    if not path or not episode.lstrip("-").isdecimal():
+    if not path or not re.fullmatch(r"-?\d+", episode, re.ASCII):
         raise ConfigError(
             f"replay is '{location}'; expected FILE#EPISODE, such as "
             "runs/latest/rollouts/rollouts_00000.mcap#3."

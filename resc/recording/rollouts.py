@@ -130,5 +130,8 @@ def provenance() -> dict[str, str]:
 
 def _git(*arguments: str) -> str:
     command: list[Any] = ["git", "-C", Path(__file__).parent, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except FileNotFoundError:  # there is no git
+        return ""
     return done.stdout.strip()

@@ -187,6 +187,7 @@ class Segments:
         actions = ("stop", "delete_oldest")
         require(when_full in actions, "when_full", when_full, " or ".join(actions))
         require(rotate_mb > 0, "rotate_mb", rotate_mb, "a positive size")
+        require(max_gb is None or max_gb > 0, "max_gb", max_gb, "a positive size, or null")
         room = when_full == "stop" or max_gb is None or max_gb * 1e3 >= 2 * rotate_mb
         require(room, "max_gb", max_gb, f"at least twice rotate_mb ({2 * rotate_mb / 1e3:g} GB)")
         self._directory, self._head, self._compression = directory, head, compression
@@ -220,12 +221,14 @@ class Segments:
         return self._active
 
     def append(self, topic: str, messages: Sequence[Message], publish_time: int) -> None:
-        """Write messages, the first ones of a file after the pinned one."""
+        """Write messages; a file begins with the pinned one, which is news of its topic, too."""
         fresh = self._active is None
         segment = self._activate()
-        if fresh and self._pinned is not None and topic != self._pinned[0]:
+        if fresh and self._pinned is not None:
             topic_pinned, data = self._pinned
             segment.append(topic_pinned, [(messages[0][0], 0, data())], publish_time)
+            if topic == topic_pinned:
+                return
         segment.append(topic, messages, publish_time)
 
     def pin(self, topic: str, data: Callable[[], bytes]) -> None:

@@ -175,8 +175,8 @@ class RolloutRecorder:
         if os.getpid() != self._process:
             return  # a forked child has no writer thread, and the files belong to its parent
         if not self._closing:
+            self._queue.put(None)  # may be interrupted; then a later call closes
             self._closing = True
-            self._queue.put(None)
         self._thread.join()
         atexit.unregister(self.close)
         if not self._reported:
@@ -292,9 +292,10 @@ class RolloutRecorder:
         wait()
         arrays = {name: leaf for (name,), leaf in leaves.items()}
         data = events.encode_arrays(WORLD, arrays, start_step)
-        self._segments.append(WORLD, [(start_step * self._specification.dt_ns, 0, data)], time_ns)
+        # Pinned first: these may be the first scenes of a file, which then holds all of them.
         self._scenes = _replaced(self._scenes, arrays)
         self._segments.pin(WORLD, lambda: events.encode_arrays(WORLD, self._scenes, start_step))
+        self._segments.append(WORLD, [(start_step * self._specification.dt_ns, 0, data)], time_ns)
         self._segments.commit()
 
 

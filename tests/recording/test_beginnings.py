@@ -55,9 +55,13 @@ def test_a_scene_is_the_one_in_use_at_that_step(sources, scene, step, expected):
 
 
 def test_every_file_begins_with_all_scenes_as_they_were_then(sources):
-    last = RolloutLog(sources[-1].path).worlds[0][1]
-    assert torch.equal(last["entry"], torch.arange(3))
-    assert last["boxes_w"][:, 0, 0].tolist() == [0.0, 12.0, 2.0]
+    """Also a file whose first news are the scenes renewed after the batch that filled the last."""
+    firsts = [RolloutLog(source.path).worlds[0] for source in sources]
+    for step, first in firsts:
+        renewed = 12.0 if step == 30 else 10.0 if step == 10 else 1.0
+        assert torch.equal(first["entry"], torch.arange(3))
+        assert first["boxes_w"][:, 0, 0].tolist() == [0.0, renewed, 2.0]
+    assert {step for step, _ in firsts} == {0, 10, 30}
 
 
 @pytest.mark.parametrize(
