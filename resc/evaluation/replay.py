@@ -25,13 +25,21 @@ from resc.keys import NestedKey
 from resc.learning.ppo import RENEWED
 from resc.math.sampling import generator_for
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS, provenance
+from resc.recording.rollouts import (
+    REWARD_TERMS,
+    STATE_COLUMNS,
+    provenance,
+    require_columns,
+    require_groups,
+)
 from resc.recording.selection import Selection
 from resc.scenes.layout import Layout
 from resc.scenes.pool import ScenePool
 
 STATE = tuple(column.key for column in STATE_COLUMNS if column.key != keys.ACTION)
 FLAGS = (keys.TERMINATED, keys.TRUNCATED)
+GROUPS = ("device", "env", "vehicle", "action", "rate_loop", "dynamics", "task", "observation")
+"""Parts of a configuration without which nothing flies."""
 OUTPUTS = (keys.REWARD, REWARD_TERMS, *FLAGS)
 
 
@@ -148,6 +156,7 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
 
 def recorded_config(log: RolloutLog | Selection, allowed: Sequence[str] = ()) -> dict[str, Any]:
     """The configuration of a recording, for this machine, with the prefixes its reader allows."""
+    require_groups(log.config, GROUPS)
     config = cast(dict[str, Any], OmegaConf.to_container(log.config, resolve=True))
     config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader
     if config["device"].startswith("cuda") and not torch.cuda.is_available():
@@ -195,12 +204,13 @@ def compare(
 
     Where the episode was `cut` from outside, its last flags are not the simulator's.
     """
-    if recorded.get(keys.ACTION, None) is None:
-        raise RecordingError(
-            "The recording has no column 'action', so nothing can be flown again; record with "
-            "recorder.fields=null."
-        )
+    require_columns(recorded, [keys.ACTION], "a replay")
     deviations = {key: 0.0 for key in (*STATE, *OUTPUTS) if recorded.get(key, None) is not None}
+    if not deviations:
+        raise RecordingError(
+            "The recording holds the actions alone, so there is nothing to compare with; record "
+            "with recorder.fields=null."
+        )
     for number, step in enumerate(recorded.to(env.device)):
         found = {key: env.value_of(key) for key in STATE}
         out = env.advance(step[keys.ACTION].expand(env.num_envs, -1))

@@ -13,6 +13,7 @@ from tqdm import tqdm
 from resc import keys
 from resc.errors import RecordingError
 from resc.evaluation.replay import environment_in, recorded_config
+from resc.recording.rollouts import FLAGS, require_columns
 from resc.recording.selection import TRAJECTORY, Selection
 
 ROWS = 256
@@ -81,6 +82,7 @@ def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None)
 def _flown(episodes: Selection, config: Mapping[str, Any]) -> Iterator[TensorDict]:
     """The transitions of each episode `[T]`, all flown at once."""
     recorded = list(episodes)
+    require_columns(recorded[0], (keys.ACTION, *(flag.key for flag in FLAGS)), "a dataset")
     count, longest = len(recorded), max(map(len, recorded))
     # Uncompiled: a batch of another size, flown once, is not worth compiling for.
     env = environment_in({**config, "compile": False}, episodes.scenes(), count)

@@ -43,13 +43,22 @@ def check(location: str | Path) -> Checked:
     finite. Episodes: each ends, and only it ends, in a step flagged as an end; its length and
     return are those of its steps; those of one environment do not overlap.
     """
-    done = Checked()
-    for path in recordings_at(location):
+    done, paths = Checked(), recordings_at(location)
+    for path in paths:
         done.files += 1
         with _noting(done):
             _check_file(path, done)
+    try:
+        log = RolloutLog(location)
+    except RecordingError as error:
+        for path in paths:
+            _check_alone(path, done)
+        # What is wrong with one file is noted already; the files together may not fit.
+        if not str(error).startswith(tuple(done.faults)):
+            done.faults.append(str(error))
+        return done
     with _noting(done):
-        _check_steps(RolloutLog(location), done)
+        _check_steps(log, done)
     return done
 
 
@@ -60,6 +69,20 @@ def _noting(done: Checked) -> Iterator[None]:
     except RecordingError as error:
         if str(error) not in done.faults:
             done.faults.append(str(error))
+
+
+def _check_alone(path: Path, done: Checked) -> None:
+    """The steps of one file, whatever the others are."""
+    part = Checked()
+    with _noting(part):
+        if open_source(path) is not None:
+            _check_steps(RolloutLog(path), part)
+    done.batches += part.batches
+    done.env_steps += part.env_steps
+    done.episodes += part.episodes
+    # The numbers of episodes count within this file.
+    faults = (fault if str(path) in fault else f"{path}: {fault}" for fault in part.faults)
+    done.faults += [fault for fault in faults if fault not in done.faults]
 
 
 def _check_file(path: Path, done: Checked) -> None:

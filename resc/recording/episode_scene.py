@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
@@ -16,13 +15,12 @@ from torch import Tensor
 
 from resc import keys
 from resc.build import build, build_terms
-from resc.errors import RecordingError
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
 from resc.maps.observation import MapObservation
 from resc.math.rotation import heading
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS
+from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS, require_columns, require_groups
 from resc.recording.sight import Pose, Shape, shapes
 from resc.scenes.layout import PARKED_M, rasterize
 from resc.simulation.vehicle import Vehicle
@@ -31,6 +29,8 @@ from resc.term import Action, Context, Observation
 CONFIG = "config.yaml"
 NEEDED = (*(column.key for column in STATE_COLUMNS), keys.REWARD, REWARD_TERMS)
 """Columns that a scene is drawn from."""
+GROUPS = ("env", "vehicle", "action", "task", "observation")
+"""Parts of the configuration that a scene is drawn from."""
 
 Tensors = dict[keys.NestedKey, Tensor]
 
@@ -117,9 +117,10 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
         RecordingError: The recording lacks something that a scene needs.
     """
     steps = log.episode(episode)
-    _require_columns(log)
+    require_columns(steps, NEEDED, "a scene")
+    require_groups(log.config, GROUPS)
     facts = _facts(log, episode)
-    config = _parsed(log.attachments[CONFIG])
+    config = cast(dict[str, Any], OmegaConf.to_container(log.config))
     vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
     env = config["env"]
     context = Context(
@@ -141,22 +142,6 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
         vehicle=vehicle,
         sights=_sights(steps, passed, place, config, context),
     )
-
-
-@lru_cache(maxsize=4)
-def _parsed(config: bytes) -> dict[str, Any]:
-    """A stored configuration; kept, because the scenes of a run share it."""
-    return cast(dict[str, Any], OmegaConf.to_container(OmegaConf.create(config.decode())))
-
-
-def _require_columns(log: RolloutLog) -> None:
-    found = {column.key for column in log.columns}
-    missing = [".".join(key) for key in NEEDED if key not in found]
-    if missing:
-        raise RecordingError(
-            f"{log.files[0]} holds no column {missing[0]}, which a scene is drawn from; "
-            "record with the columns of resc.recording.rollouts.rollout_columns."
-        )
 
 
 def _facts(log: RolloutLog, episode: int) -> dict[str, str]:

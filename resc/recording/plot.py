@@ -23,7 +23,7 @@ from resc.evaluation.panel import BACKGROUND, COLLISION, DASHES, FRAME, OBSTACLE
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS
+from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS, require_columns
 
 _COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 """Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""
@@ -42,13 +42,8 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
     Raises:
         RecordingError: The recording lacks a column, the scene or the configuration.
     """
-    missing = [c.key for c in STATE_COLUMNS if c.key not in {c.key for c in log.columns}]
-    if missing:
-        raise RecordingError(
-            f"The recording has no {'.'.join(missing[0])}; a picture needs position, velocity, "
-            "attitude, body rate and action."
-        )
     facts, steps = log.episodes.row(episode, named=True), log.episode(episode)
+    require_columns(steps, (*(column.key for column in STATE_COLUMNS), keys.REWARD), "a picture")
     time = np.arange(len(steps)) * log.dt_s
     commanded = rate_command(log, episode, steps)
     with mpl.rc_context({"font.size": 9, "font.family": "DejaVu Sans"}):

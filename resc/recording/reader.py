@@ -1,6 +1,7 @@
 """Recorded rollouts as TensorDicts and dataframes."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from itertools import chain, groupby
@@ -12,8 +13,10 @@ import polars as pl
 import torch
 from jaxtyping import Int, Shaped
 from omegaconf import Container, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from tensordict import TensorDict
 from torch import Tensor
+from yaml import MappingNode, YAMLError, compose
 
 from resc.errors import RecordingError
 from resc.recording import events
@@ -48,7 +51,9 @@ class RolloutLog:
     """
 
     def __init__(self, location: str | Path) -> None:
-        found = (open_source(path) for path in recordings_at(location))
+        paths = recordings_at(location)
+        with _one_of(paths):
+            found = [open_source(path) for path in paths]
         self._sources = [source for source in found if source is not None]
         if not self._sources:
             raise RecordingError(
@@ -61,7 +66,8 @@ class RolloutLog:
                     f"{source.path} and {self._sources[0].path} differ in columns, environments or "
                     "time step; open them one at a time."
                 )
-        self.batches = list(chain.from_iterable(batches(source) for source in self._sources))
+        with _one_of(paths):
+            self.batches = list(chain.from_iterable(batches(source) for source in self._sources))
         places: dict[tuple[str, int], Path] = {}
         for batch in self.batches:
             other = places.setdefault((batch.session, batch.start_step), batch.source.path)
@@ -85,14 +91,21 @@ class RolloutLog:
         """Documents stored with the recording, by name (from the first file)."""
         return self._sources[0].attachments()
 
-    @property
+    @cached_property
     def config(self) -> Container:
         """The configuration of the run, from the attachment `config.yaml`."""
         if "config.yaml" not in self.attachments:
             raise RecordingError(
                 f"{self.files[0]} has no attachment 'config.yaml'; it has {list(self.attachments)}."
             )
-        return OmegaConf.create(self.attachments["config.yaml"].decode())
+        try:
+            return _configuration(self.attachments["config.yaml"])
+        except (YAMLError, OmegaConfBaseException, ValueError, RecursionError) as error:
+            reason = getattr(error, "problem", None) or str(error).splitlines()[0]
+            raise RecordingError(
+                f"{self.files[0]}: its attachment 'config.yaml' is no configuration ({reason}); "
+                "take the config.yaml of the run's folder."
+            ) from error
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -333,6 +346,28 @@ class RolloutLog:
         }
         values = [array.T.reshape(array.shape[2], -1).T for array in arrays]
         return step_table(self.columns, about, values)
+
+
+@contextmanager
+def _one_of(paths: Sequence[Path]) -> Iterator[None]:
+    """Says of one file that cannot be read how to read the others, if there are any."""
+    try:
+        yield
+    except RecordingError as error:
+        if len(paths) == 1:
+            raise
+        raise RecordingError(
+            f"{error} To read the rest, leave it out, or open the others by name."
+        ) from error
+
+
+def _configuration(document: bytes) -> Container:
+    """The configuration in a document; a ValueError if it holds anything but a mapping."""
+    text = document.decode()
+    # OmegaConf alone would make a mapping of a word, and take a list.
+    if not isinstance(compose(text), MappingNode):
+        raise ValueError("it holds no mapping")
+    return OmegaConf.create(text)
 
 
 def _require_index(index: int, lowest: int, limit: int, what: str, plural: str) -> None:

@@ -9,7 +9,6 @@ import rerun.blueprint as rrb  # pyright: ignore[reportMissingImports]
 from jaxtyping import Float
 
 from resc import keys
-from resc.errors import RecordingError
 from resc.recording import layouts
 from resc.recording.appearance import (
     FRONT,
@@ -26,7 +25,7 @@ from resc.recording.appearance import (
     top_of_obstacles,
 )
 from resc.recording.episode_scene import EpisodeScene, load_scene
-from resc.recording.output import replacing
+from resc.recording.output import replacing, unwritable
 from resc.recording.reader import RolloutLog
 from resc.recording.scalars import Numbers
 from resc.recording.sight import Shape
@@ -61,24 +60,23 @@ def write_rerun(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as unfinished:
-            unfinished.touch()  # Rerun alone would not say why it cannot write there
             stream = rr.RecordingStream(APPLICATION, recording_id=f"{log.files[0].stem}#{episode}")
-            stream.save(unfinished, default_blueprint=_blueprint(scene))
+            # Through memory: on a full disk, Rerun's own writer waits forever or says nothing.
+            memory = stream.memory_recording()
+            stream.send_blueprint(_blueprint(scene), make_active=False)
             _send(stream, scene)
-            stream.flush()
-            stream.disconnect()
+            unfinished.write_bytes(memory.drain_as_bytes())
     except OSError as error:
-        raise RecordingError(
-            f"{path} cannot be written: {error.strerror}. Choose another folder or free some space."
-        ) from error
+        raise unwritable(path, error.strerror or str(error)) from error
     return path
 
 
 def _send(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     stream.send_recording_name(f"episode {scene.facts['index']}: {scene.facts['outcome']}")
     stream.send_property("episode", rr.AnyValues(False, **scene.facts))
-    if scene.run:
-        stream.send_property("run", rr.AnyValues(False, **scene.run))
+    run = {name: text for name, text in scene.run.items() if text}  # Rerun takes no empty ones
+    if run:
+        stream.send_property("run", rr.AnyValues(False, **run))
     _send_place(stream, scene)
     times = _seconds(scene, range(len(scene)))
     _send_vehicle(stream, scene, times)

@@ -3,19 +3,20 @@
 import hashlib
 import platform
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDict
+from omegaconf import Container, DictConfig, OmegaConf
+from tensordict import TensorDict, TensorDictBase
 from torch import nn
 
 from resc import keys
 from resc.build import build
 from resc.envs.stages import Stages, World
+from resc.errors import RecordingError
 from resc.recording.schema import Column
 from resc.recording.writer import RolloutRecorder
 from resc.scenes.pool import ScenePool
@@ -100,6 +101,34 @@ def start_arrays(
         "step": torch.cat(steps).cpu(),
         **{".".join(key): torch.cat([world[key] for world in worlds]) for key in worlds[0]},
     }
+
+
+def require_columns(steps: TensorDictBase, wanted: Iterable[keys.NestedKey], reader: str) -> None:
+    """Refuses recorded steps that lack a column.
+
+    Raises:
+        RecordingError: It names the column, and the `reader` that needs it.
+    """
+    missing = [key for key in wanted if steps.get(key, None) is None]
+    if missing:
+        raise RecordingError(
+            f"The recording holds no column {'.'.join(missing[0])}, which {reader} needs; record "
+            "with recorder.fields=null."
+        )
+
+
+def require_groups(config: Container, wanted: Iterable[str]) -> None:
+    """Refuses a recorded configuration that lacks a group.
+
+    Raises:
+        RecordingError: It names the group.
+    """
+    for name in wanted:
+        if name not in config:
+            raise RecordingError(
+                f"The recording's attachment 'config.yaml' names no '{name}', so it is not that of "
+                "a run; take the files that RESC wrote."
+            )
 
 
 def with_success(episodes: TensorDict | None) -> TensorDict | None:

@@ -78,27 +78,39 @@ class Selection:
         `log.where(pl.col("length") > 100, outcome="collision")`
 
         Raises:
-            RecordingError: A condition names no column, or an outcome that there is none of.
+            RecordingError: A condition names no column, or an outcome that there is none of, or is
+                no condition.
         """
         table = self.episodes
         for name, value in equal.items():
             if name not in table.columns:
                 raise RecordingError(f"Episodes have no '{name}'.{nearest(name, table.columns)}")
             kind = table.schema[name]
-            if isinstance(kind, pl.Enum) and value not in kind.categories:
+            if isinstance(kind, pl.Enum) and not isinstance(value, pl.Expr):
                 known = kind.categories.to_list()
-                raise RecordingError(f"No {name} is '{value}'.{nearest(str(value), known)}")
-        wanted = [pl.col(name) == value for name, value in equal.items()]
+                if not isinstance(value, str) or value not in known:
+                    raise RecordingError(f"No {name} is {value!r}.{nearest(str(value), known)}")
         try:
+            wanted = [pl.col(name) == value for name, value in equal.items()]
             return Selection(self._log, table.filter(*conditions, *wanted))
-        except PolarsError as error:
-            raise RecordingError(
-                f"Episodes cannot be filtered like this: {str(error).splitlines()[0]}."
-            ) from error
+        except (PolarsError, TypeError) as error:
+            reason = str(error).splitlines()[0].rstrip(".")
+            raise RecordingError(f"Episodes cannot be filtered like this: {reason}.") from error
 
     def take(self, rows: Sequence[int]) -> "Selection":
-        """These rows of `episodes`, in this order."""
-        return Selection(self._log, self.episodes[list(rows)])
+        """These rows of `episodes`, in this order; negative ones count from its end.
+
+        Raises:
+            RecordingError: There is no such row.
+        """
+        chosen, count = list(rows), len(self)
+        for row in chosen:
+            if not _is_whole(row) or not -count <= row < count:
+                raise RecordingError(
+                    f"Row {row!r} is not in the table of these {count} episodes; take whole "
+                    "numbers of rows that it has, counted from 0."
+                )
+        return Selection(self._log, self.episodes[[int(row) for row in chosen]])
 
     def starts(self) -> TensorDict:
         """All mutable state of the simulator before the first step of each, `[E]`."""
@@ -147,3 +159,10 @@ class Selection:
     @property
     def _numbers(self) -> Int[np.ndarray, " e"]:
         return self.episodes["index"].to_numpy()
+
+
+def _is_whole(number: object) -> bool:
+    """Whether it is a whole number, of Python, NumPy or PyTorch; flags of a mask are none."""
+    if isinstance(number, torch.Tensor):
+        return number.numel() == 1 and _is_whole(number.item())
+    return isinstance(number, int | np.integer) and not isinstance(number, bool)

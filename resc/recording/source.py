@@ -163,7 +163,8 @@ def open_source(path: Path) -> Source | None:
 def _entries(metadata: dict[str, dict[str, str]], name: str, path: Path) -> dict[str, str]:
     if name not in metadata:
         raise RecordingError(
-            f"{path} holds no metadata '{name}'; RESC reads only what it recorded."
+            f"{path} holds no metadata '{name}': it is no recording of RESC's recorder (a scene "
+            "file is opened in a viewer); give a file of a run's folder rollouts."
         )
     return metadata[name]
 

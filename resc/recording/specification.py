@@ -82,18 +82,22 @@ def _column(
     return Column(tuple(key), tuple(components), DTYPE_NAMES[dtype], shape=tuple(shape), **rest)
 
 
-def chosen_columns(columns: Sequence[Column], fields: Sequence[str]) -> tuple[Column, ...]:
+def chosen_columns(columns: Sequence[Column], fields: object) -> tuple[Column, ...]:
     """The columns whose dotted key is one of `fields`, or begins with one of them.
 
     Raises:
-        ConfigError: A field is no column, or there is none.
+        ConfigError: A field is no column, or this is no list of names.
     """
+    entries = fields if isinstance(fields, Sequence) and not isinstance(fields, str) else ()
+    wanted = [name for name in entries if isinstance(name, str)]
+    expected = "a non-empty list of names such as [state, action], or null for all"
+    require(0 < len(wanted) == len(entries), "fields", fields, expected)
     names = [".".join(column.key) for column in columns]
     known = {".".join(c.key[: depth + 1]) for c in columns for depth in range(len(c.key))}
-    for name in fields:
+    for name in wanted:
         if name not in known:
             raise ConfigError(f"recorder.fields has no '{name}'.{nearest(name, known)}")
-    chosen = tuple(f"{name}." for name in fields)
+    chosen = tuple(f"{name}." for name in wanted)
     return tuple(c for c, name in zip(columns, names, strict=True) if f"{name}.".startswith(chosen))
 
 

@@ -1,9 +1,15 @@
 """The command line: what it prints and writes, and what it says to wrong input."""
 
+import errno
+import os
+from pathlib import Path
+
 import polars as pl
 import pytest
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 from small_run import record
+from street import copy_of, fly_street
 
 from resc.recording import RolloutLog
 from resc.recording.commands import build_parser, main
@@ -67,6 +73,89 @@ def test_episodes_are_filtered_sorted_and_limited(run, call, tmp_path):
     assert out.splitlines()[-1] == "1 of 6 shown, 6 in the recording"
     assert call(*table, "--csv", "--out", "best.csv")[:2] == (0, "")
     assert pl.read_csv(tmp_path / "best.csv")["outcome"].to_list() == ["success"]
+    assert call("episodes", run, "--out", "all.csv")[:2] == (0, "")
+    assert len(pl.read_csv(tmp_path / "all.csv")) == 6
+    assert call("episodes", run, "--limit", 0)[1].splitlines()[-1].startswith("0 of 6 shown")
+
+
+def test_a_limit_below_zero_is_a_usage_error(run, call):
+    code, _, errors = call("episodes", run, "--limit", -1)
+    assert code == 2
+    assert "--limit: '-1' is not a whole number of 0 or more" in errors
+
+
+@pytest.mark.parametrize(
+    ("command", "owner", "method"),
+    [
+        (("episodes",), Path, "write_text"),
+        (("plot", "--episode", "0"), Figure, "savefig"),
+        (("merge",), "resc.recording.rewrite.Segment", "append"),
+        (("parquet",), "pyarrow.parquet.ParquetWriter", "write_table"),
+        (("rerun", "--episode", "0"), Path, "write_bytes"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else None,
+)
+def test_a_full_disk_is_told_with_the_name_of_the_output(
+    command, owner, method, run, street, call, tmp_path, monkeypatch
+):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    output = tmp_path / "mine.png"
+    output.write_bytes(b"precious")
+    if command[0] == "rerun":
+        pytest.importorskip("rerun")
+    if isinstance(owner, str):
+        pytest.importorskip(owner.rpartition(".")[0])
+        monkeypatch.setattr(f"{owner}.{method}", full)
+    else:
+        monkeypatch.setattr(owner, method, full)
+    recording = street.files[0] if command[0] == "rerun" else run
+    code, _, error = call(command[0], recording, *command[1:], "--out", "mine.png", "--force")
+    assert code == 1
+    assert error == (
+        "error: mine.png cannot be written: No space left on device. Choose another folder or free "
+        "some space."
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.png"]
+    assert output.read_bytes() == b"precious"
+
+
+@pytest.fixture(scope="module")
+def street(compose, tmp_path_factory):
+    """Flights whose configuration scenes can be drawn with."""
+    config = compose("num_envs=2", "recorder=mcap", "task=from_rest")
+    return fly_street(config, tmp_path_factory.mktemp("street"))
+
+
+@pytest.mark.parametrize("command", ["scene", "rerun"])
+def test_a_class_of_the_users_own_package_is_built_only_if_allowed(
+    command, street, call, tmp_path, monkeypatch
+):
+    if command == "rerun":
+        pytest.importorskip("rerun")
+    (tmp_path / "own_vehicles.py").write_text(
+        "from resc.simulation.vehicle import Vehicle\n\n\nclass Own(Vehicle):\n    pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    config = street.config
+    config["vehicle"]["_target_"] = "own_vehicles.Own"
+    copy_of(street, tmp_path / "own", config=config)
+    code, _, error = call(command, "own", "--episode", 0)
+    assert code == 1
+    assert "vehicle._target_ is 'own_vehicles.Own'" in error
+    allow = ("--allow", "another.", "--allow", "own_vehicles.")
+    assert call(command, "own", "--episode", 0, *allow)[0] == 0
+
+
+def test_recover_does_not_overwrite_what_it_reads(run, call, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((run / "rollouts" / "rollouts_00000.mcap").read_bytes()[:-400])
+    before = cut.read_bytes()
+    code, _, error = call("recover", "cut.mcap", "--out", cut, "--force")
+    assert code == 1
+    assert error == f"error: {cut} is the file to recover; name another with --out."
+    assert cut.read_bytes() == before
 
 
 def test_plot_draws_an_episode(run, call, tmp_path):
@@ -165,8 +254,9 @@ def test_an_output_that_exists_is_kept_unless_forced(run, call, tmp_path):
         (("plot", "RUN", "--episode", "6"), "no episode 6; the recording holds 6"),
         (("scene", "RUN", "--episode", "-7"), "no episode -7; the recording holds 6"),
         (("plot", "RUN", "--episode", "0", "--out", "no/a.png"), "no is not a folder"),
+        (("plot", "RUN", "--episode", "0", "--out", "a.xyz"), "end with .png, .pdf, .svg; name"),
         (("plot", "bare", "--episode", "0"), "no attachment 'config.yaml'"),
-        (("plot", "stateless", "--episode", "0"), "has no state.position_w"),
+        (("plot", "stateless", "--episode", "0"), "state.position_w"),
         (("merge", "RUN", "--out", "RUN/rollouts/rollouts_00000.mcap", "--force"), "one of the"),
         (("recover", "text.mcap"), "is not an MCAP file"),
         (("check", "nowhere"), "No recording at nowhere"),

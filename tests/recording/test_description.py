@@ -1,12 +1,15 @@
-"""The tables of topics and fields: they cover the schema, and the documentation holds them."""
+"""Topics and fields: the tables cover the schema and are in the documentation; what is chosen."""
 
 from pathlib import Path
 
+import pytest
 import torch
 
 from resc import keys
+from resc.errors import ConfigError
 from resc.recording.description import MEANINGS, START_KEYS, TOPICS, WORLD_KEYS, describe
-from resc.recording.schema import FIELDS, SCHEMA_NAMES
+from resc.recording.schema import FIELDS, SCHEMA_NAMES, Column
+from resc.recording.specification import chosen_columns
 
 PAGE = Path(__file__).parents[2] / "docs" / "recording.md"
 BEGIN, END = "<!-- python -m resc.recording schema -->", "<!-- end -->"
@@ -31,3 +34,14 @@ def test_the_documentation_holds_the_tables():
     page = PAGE.read_text()
     held = page.partition(BEGIN)[2].partition(END)[0].strip()
     assert held == describe(), "run python -m resc.recording schema and put its output there"
+
+
+@pytest.mark.parametrize("fields", [[3], ["action", None], "state", [], {}, 3])
+def test_fields_that_are_no_list_of_names_are_refused_with_an_example(fields):
+    columns = [Column(keys.ACTION, ("x", "y", "z", "thrust"), torch.float32)]
+    complaint = (
+        r"recorder\.fields is .*; expected a non-empty list of names such as \[state, action"
+    )
+    with pytest.raises(ConfigError, match=complaint):
+        chosen_columns(columns, fields)
+    assert chosen_columns(columns, ["action"]) == tuple(columns)

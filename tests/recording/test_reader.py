@@ -24,14 +24,14 @@ COLUMNS = (
 )
 
 
-def recorder(directory, num_envs, **options):
+def recorder(directory, num_envs, config=b"env:\n  num_envs: 4\n", **options):
     return RolloutRecorder(
         directory=directory,
         columns=COLUMNS,
         dt_s=0.02,
         num_envs=num_envs,
         metadata={"task": "racing"},
-        attachments={"config.yaml": b"env:\n  num_envs: 4\n", "notes.txt": b"hello"},
+        attachments={"config.yaml": config, "notes.txt": b"hello"},
         outcomes=OUTCOMES,
         **options,
     )
@@ -310,7 +310,7 @@ def test_what_is_not_a_recording_is_named_in_one_sentence(tmp_path):
     foreign_file(newer, {"resc.spec": {"format": "99"}})
     for location, complaint in (
         (text, "not an MCAP file"),
-        (other, "no metadata 'resc.spec'"),
+        (other, r"no metadata 'resc.spec': .* \(a scene file is opened in a viewer\); give a file"),
         (newer, "has recording format 99"),
         (tmp_path, "No recording at"),
         (tmp_path / "missing.mcap", "No recording at"),
@@ -318,6 +318,41 @@ def test_what_is_not_a_recording_is_named_in_one_sentence(tmp_path):
     ):
         with pytest.raises(RecordingError, match=complaint):
             RolloutLog(location)
+
+
+@pytest.mark.parametrize(
+    ("config", "reason"),
+    [
+        (b"env: [1", "expected ',' or ']'"),
+        (b"- 1\n- 2\n", "it holds no mapping"),
+        (b"hello", "it holds no mapping"),
+        (b"3", "it holds no mapping"),
+        (b"", "it holds no mapping"),
+        (b"env: \xff", "can't decode byte"),
+        (b"env: ${", "no viable alternative"),
+        (b"env: !!int x", "invalid literal"),
+        (b"env: &env [*env]", "recursion"),
+    ],
+)
+def test_a_stored_document_that_is_no_configuration_is_refused(tmp_path, config, reason):
+    recorder(tmp_path, 4, config).close()
+    log = RolloutLog(tmp_path)
+    complaint = rf"_00000.mcap: its attachment 'config.yaml' is no .*{reason}.*; take the config"
+    with pytest.raises(RecordingError, match=complaint):
+        _ = log.config
+
+
+def test_of_several_files_the_one_that_cannot_be_read_is_named_with_a_way_on(tmp_path):
+    with recorder(tmp_path, 4) as target:
+        target.put(rollout(8, 4), 0)
+    bad = tmp_path / "rollouts_00001.mcap"
+    bad.write_text("not a recording at all")
+    with pytest.raises(RecordingError, match=r"^\S*_00001.mcap is not an MCAP file; .*by RESC\.$"):
+        RolloutLog(bad)
+    for location in (tmp_path, str(tmp_path / "*.mcap")):
+        with pytest.raises(RecordingError, match=r"is not .* leave it out, or open the others by"):
+            RolloutLog(location)
+    assert RolloutLog(tmp_path / "rollouts_00000.mcap").num_batches == 1
 
 
 def test_recordings_that_differ_are_not_joined(tmp_path):

@@ -323,7 +323,7 @@ def test_chosen_columns_alone_are_recorded(tmp_path):
     [
         ({"envs": 5}, "envs"),
         ({"envs": 0}, "envs"),
-        ({"fields": []}, "columns"),
+        ({"fields": []}, "fields"),
         ({"compression": "gzip"}, "compression"),
         ({"when_full": "panic"}, "when_full"),
         ({"rotate_mb": 0}, "rotate_mb"),

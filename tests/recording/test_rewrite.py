@@ -184,3 +184,35 @@ def test_damage_and_what_is_cut_are_found_and_the_rest_is_checked(path):
     assert "is damaged at byte" in steps
     path.write_bytes(path.read_bytes()[:-30])
     assert "is not complete" in check(path).faults[0]
+
+
+def test_files_beside_one_that_cannot_be_read_are_checked(tmp_path):
+    whole = rollout()
+    whole[keys.TERMINATED][12, 1] = False
+    record(tmp_path, whole, batches=range(2))
+    bad = tmp_path / "rollouts_00001.mcap"
+    bad.write_text("not a recording at all")
+    done = check(tmp_path)
+    assert (done.files, done.batches, done.env_steps, done.episodes) == (2, 2, 60, 3)
+    unread, unflagged = done.faults
+    assert unread == f"{bad} is not an MCAP file; give a recording made by RESC."
+    assert unflagged.startswith(f"{tmp_path / 'rollouts_00000.mcap'}: in step 12 of environment 1")
+
+
+def test_files_that_do_not_fit_together_are_checked_one_by_one(tmp_path):
+    def listed(first, last):
+        table = episodes(first, last)
+        table["return_"] = table["return_"] + (first == 0)
+        return table
+
+    first = record(tmp_path / "a", batches=range(2), listed=listed) / "rollouts_00000.mcap"
+    second = record(tmp_path / "b", batches=range(2)) / "rollouts_00000.mcap"
+    (tmp_path / "rollouts_00000.mcap").write_bytes(first.read_bytes())
+    (tmp_path / "rollouts_00001.mcap").write_bytes(first.read_bytes())
+    (tmp_path / "rollouts_00002.mcap").write_bytes(second.read_bytes())
+    done = check(tmp_path)
+    assert (done.files, done.batches) == (3, 6)
+    one, other, together = done.faults
+    for number, fault in enumerate((one, other)):
+        assert fault.startswith(f"{tmp_path / f'rollouts_0000{number}.mcap'}: Episode 0 lists")
+    assert "hold the same steps" in together

@@ -55,6 +55,27 @@ def test_conditions_on_what_is_not_there_are_refused(log):
         log.where(pl.col("lenght") > 3)
 
 
+@pytest.mark.parametrize("outcome", [3, None, True, ["collision", "success"]])
+def test_an_outcome_that_is_no_name_is_refused(log, outcome):
+    with pytest.raises(RecordingError, match=r"No outcome is .* Available: collision, success"):
+        log.where(outcome=outcome)
+
+
+def test_what_is_no_condition_is_refused(log):
+    with pytest.raises(RecordingError, match="cannot be filtered like this: cannot create"):
+        log.where(env_id=object())
+    assert len(log.where(outcome=pl.lit("success"))) == 2
+
+
+def test_rows_are_taken_in_the_order_given_and_must_be_there(log):
+    view = log.where(pl.col("length") > 10)
+    assert view.take([2, -1, 0]).episodes["index"].to_list() == [3, 5, 1]
+    assert len(view.take([])) == 0
+    for row in (500, 5, -6, True):
+        with pytest.raises(RecordingError, match=r"Row .* is not in the table of these 5 episodes"):
+            view.take([row])
+
+
 def test_iterating_gives_every_episode_from_its_first_to_its_last_step(log):
     whole, found = rollout(), list(log)
     assert len(log) == len(found) == 6

@@ -49,9 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except OSError as error:
+        place = error.filename or "output"
         sys.exit(
-            f"error: {error.filename}: {error.strerror}. Check the path, its permissions and "
-            "the room on the disk."
+            f"error: {place}: {error.strerror}. Check the path, its permissions and the room on "
+            "the disk."
         )
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -54,6 +54,18 @@ def add_output(parser: argparse.ArgumentParser, default: str) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite the output if it exists")
 
 
+def add_allow(parser: argparse.ArgumentParser) -> None:
+    """The option --allow."""
+    parser.add_argument(
+        "--allow",
+        action="append",
+        default=[],
+        metavar="PREFIX",
+        help="prefix of the user's own package that the recorded configuration may name, such as "
+        "mypackage.; may be given several times",
+    )
+
+
 def add_episode(parser: argparse.ArgumentParser) -> None:
     """The option --episode."""
     parser.add_argument(

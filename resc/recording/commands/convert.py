@@ -3,11 +3,13 @@
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from resc.errors import RecordingError
 from resc.recording.commands.arguments import (
+    add_allow,
     add_command,
     add_episode,
     add_output,
@@ -20,6 +22,7 @@ from resc.recording.commands.arguments import (
 from resc.recording.reader import RolloutLog
 
 Writer = Callable[[RolloutLog, int, Path], object]
+PICTURES = (".png", ".pdf", ".svg")
 
 
 def add_commands(commands: Any) -> None:  # noqa: ANN401
@@ -34,6 +37,8 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         add_recording(parser)
         add_episode(parser)
         add_output(parser, f"episode_K.{suffix} in this folder")
+        if name != "plot":
+            add_allow(parser)
     parquet = add_command(
         commands,
         "parquet",
@@ -50,20 +55,24 @@ def run_scene(given: argparse.Namespace) -> int:
     """Writes an episode for Foxglove."""
     from resc.recording.foxglove import write_scene
 
-    return _write_episode(given, "mcap", write_scene)
+    return _write_episode(given, "mcap", partial(write_scene, allowed=given.allow))
 
 
 def run_rerun(given: argparse.Namespace) -> int:
     """Writes an episode for Rerun."""
     with needing("rerun"):
         from resc.recording.rerun_scene import write_rerun
-    return _write_episode(given, "rrd", write_rerun)
+    return _write_episode(given, "rrd", partial(write_rerun, allowed=given.allow))
 
 
 def run_plot(given: argparse.Namespace) -> int:
     """Draws an episode."""
     from resc.recording.plot import draw_episode
 
+    if given.out is not None and given.out.suffix.lower() not in ("", *PICTURES):
+        raise RecordingError(
+            f"{given.out} does not end with {', '.join(PICTURES)}; name such a file with --out."
+        )
     return _write_episode(given, "png", draw_episode)
 
 

@@ -18,6 +18,7 @@ from resc.recording.commands.arguments import (
     selected,
 )
 from resc.recording.description import describe
+from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
 
 _ROWS = 20
@@ -46,9 +47,11 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
     episodes.add_argument("--sort", metavar="COLUMN", help="order by a column, least first")
     episodes.add_argument("--reverse", action="store_true", help="in the opposite order")
     episodes.add_argument(
-        "--limit", type=int, metavar="N", help=f"rows at most; default: {_ROWS}, with --csv all"
+        "--limit", type=_count, metavar="N", help=f"rows at most; default: {_ROWS}, as CSV all"
     )
-    episodes.add_argument("--csv", action="store_true", help="as CSV, to --out or the terminal")
+    episodes.add_argument(
+        "--csv", action="store_true", help="as CSV; what goes to --out is so without it, too"
+    )
     add_output(episodes, "the terminal")
     schema = add_command(
         commands,
@@ -101,12 +104,14 @@ def run_episodes(given: argparse.Namespace) -> int:
         table = table.sort(given.sort, descending=given.reverse, maintain_order=True)
     elif given.reverse:
         table = table.reverse()
-    limit = given.limit if given.limit is not None or given.csv else _ROWS
+    as_csv = given.csv or given.out is not None
+    limit = given.limit if given.limit is not None or as_csv else _ROWS
     shown = table if limit is None else table.head(limit)
-    if given.csv and given.out is None:
-        sys.stdout.write(shown.write_csv())
+    if given.out is not None:
+        with replacing(output(given, given.out)) as unfinished:
+            unfinished.write_text(shown.write_csv(), encoding="utf-8")
     elif given.csv:
-        shown.write_csv(output(given, given.out))
+        sys.stdout.write(shown.write_csv())
     else:
         _print_table(shown)
         print(f"{len(shown):,} of {len(table):,} shown, {len(log):,} in the recording")
@@ -117,6 +122,17 @@ def run_schema(given: argparse.Namespace) -> int:
     """Prints the tables of all topics."""
     print(describe() if given.recording is None else describe(RolloutLog(given.recording).columns))
     return 0
+
+
+def _count(text: str) -> int:
+    """A number of rows, for argparse."""
+    try:
+        count = int(text)
+    except ValueError:
+        count = -1
+    if count < 0:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of 0 or more")
+    return count
 
 
 def _shares(episodes: pl.DataFrame) -> str:

@@ -63,6 +63,8 @@ def run_recover(given: argparse.Namespace) -> int:
     """Writes what can be read to a new file; 1 if something is lost."""
     name = given.file.name.removesuffix(ACTIVE)
     path = output(given, given.file.with_name(f"recovered_{name}"))
+    if path.resolve() == given.file.resolve():
+        raise RecordingError(f"{path} is the file to recover; name another with --out.")
     return _report(recover(given.file, path), path)
 
 
