@@ -156,8 +156,9 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
 
 def recorded_config(log: RolloutLog | Selection, allowed: Sequence[str] = ()) -> dict[str, Any]:
     """The configuration of a recording, for this machine, with the prefixes its reader allows."""
-    require_groups(log.config, GROUPS)
-    config = cast(dict[str, Any], OmegaConf.to_container(log.config, resolve=True))
+    stored = log.config
+    require_groups(stored, GROUPS)
+    config = cast(dict[str, Any], OmegaConf.to_container(stored, resolve=True))
     config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader
     if config["device"].startswith("cuda") and not torch.cuda.is_available():
         config["device"] = "cpu"

@@ -118,9 +118,10 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
     """
     steps = log.episode(episode)
     require_columns(steps, NEEDED, "a scene")
-    require_groups(log.config, GROUPS)
+    stored = log.config
+    require_groups(stored, GROUPS)
     facts = _facts(log, episode)
-    config = cast(dict[str, Any], OmegaConf.to_container(log.config))
+    config = cast(dict[str, Any], OmegaConf.to_container(stored))
     vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
     env = config["env"]
     context = Context(

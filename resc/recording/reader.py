@@ -91,7 +91,7 @@ class RolloutLog:
         """Documents stored with the recording, by name (from the first file)."""
         return self._sources[0].attachments()
 
-    @cached_property
+    @property
     def config(self) -> Container:
         """The configuration of the run, from the attachment `config.yaml`."""
         if "config.yaml" not in self.attachments:
