@@ -8,6 +8,7 @@ python evaluate.py 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'    a n
 python evaluate.py 'replay=runs/latest/rollouts#7'      a recorded episode, flown again step by step
 """
 
+import signal
 import sys
 from collections import Counter
 from pathlib import Path
@@ -31,6 +32,7 @@ from resc.process import prepare_process
 @hydra.main(version_base="1.3", config_path="conf", config_name="evaluate")
 def main(config: DictConfig) -> None:
     """One evaluation in Hydra's run folder."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # unwinds: the recording is completed
     try:
         refuse_doubles()
         prepare_process(config["threads"], config["device"])
