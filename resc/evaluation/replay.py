@@ -24,13 +24,13 @@ from resc.evaluation.run_folder import finish_run
 from resc.keys import NestedKey
 from resc.learning.ppo import RENEWED
 from resc.math.sampling import generator_for
+from resc.recording.configuration import require_groups
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import (
     REWARD_TERMS,
     STATE_COLUMNS,
     provenance,
     require_columns,
-    require_groups,
 )
 from resc.recording.selection import Selection
 from resc.scenes.layout import Layout

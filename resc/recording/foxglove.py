@@ -23,7 +23,6 @@ from jaxtyping import Float
 from mcap.writer import CompressionType, Writer
 
 from resc import keys
-from resc.errors import RecordingError
 from resc.recording import layouts
 from resc.recording.appearance import (
     OBSTACLE,
@@ -107,14 +106,8 @@ def write_scene(
             written.
     """
     scene = load_scene(log, episode, allowed)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as unfinished, unfinished.open("wb") as file:
-            _write(scene, file)
-    except OSError as error:
-        raise RecordingError(
-            f"{path} cannot be written: {error.strerror}. Choose another folder or free some space."
-        ) from error
+    with replacing(path) as unfinished, unfinished.open("wb") as file:
+        _write(scene, file)
     return path
 
 

@@ -12,15 +12,14 @@ import numpy as np
 import polars as pl
 import torch
 from jaxtyping import Int, Shaped
-from omegaconf import Container, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf import Container
 from tensordict import TensorDict
 from torch import Tensor
-from yaml import MappingNode, YAMLError, compose
 
 from resc.errors import RecordingError
 from resc.recording import events
 from resc.recording.beginnings import scenes_in_use, worlds_at_start
+from resc.recording.configuration import parse
 from resc.recording.decode import (
     SPAN,
     Batch,
@@ -98,14 +97,7 @@ class RolloutLog:
             raise RecordingError(
                 f"{self.files[0]} has no attachment 'config.yaml'; it has {list(self.attachments)}."
             )
-        try:
-            return _configuration(self.attachments["config.yaml"])
-        except (YAMLError, OmegaConfBaseException, ValueError, RecursionError) as error:
-            reason = getattr(error, "problem", None) or str(error).splitlines()[0]
-            raise RecordingError(
-                f"{self.files[0]}: its attachment 'config.yaml' is no configuration ({reason}); "
-                "take the config.yaml of the run's folder."
-            ) from error
+        return parse(self.attachments["config.yaml"], str(self.files[0]))
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -359,15 +351,6 @@ def _one_of(paths: Sequence[Path]) -> Iterator[None]:
         raise RecordingError(
             f"{error} To read the rest, leave it out, or open the others by name."
         ) from error
-
-
-def _configuration(document: bytes) -> Container:
-    """The configuration in a document; a ValueError if it holds anything but a mapping."""
-    text = document.decode()
-    # OmegaConf alone would make a mapping of a word, and take a list.
-    if not isinstance(compose(text), MappingNode):
-        raise ValueError("it holds no mapping")
-    return OmegaConf.create(text)
 
 
 def _require_index(index: int, lowest: int, limit: int, what: str, plural: str) -> None:

@@ -25,7 +25,7 @@ from resc.recording.appearance import (
     top_of_obstacles,
 )
 from resc.recording.episode_scene import EpisodeScene, load_scene
-from resc.recording.output import replacing, unwritable
+from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
 from resc.recording.scalars import Numbers
 from resc.recording.sight import Shape
@@ -57,17 +57,13 @@ def write_rerun(
             written.
     """
     scene = load_scene(log, episode, allowed)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as unfinished:
-            stream = rr.RecordingStream(APPLICATION, recording_id=f"{log.files[0].stem}#{episode}")
-            # Through memory: on a full disk, Rerun's own writer waits forever or says nothing.
-            memory = stream.memory_recording()
-            stream.send_blueprint(_blueprint(scene), make_active=False)
-            _send(stream, scene)
-            unfinished.write_bytes(memory.drain_as_bytes())
-    except OSError as error:
-        raise unwritable(path, error.strerror or str(error)) from error
+    stream = rr.RecordingStream(APPLICATION, recording_id=f"{log.files[0].stem}#{episode}")
+    # Through memory: on a full disk, Rerun's own writer waits forever or says nothing.
+    memory = stream.memory_recording()
+    stream.send_blueprint(_blueprint(scene), make_active=False)
+    _send(stream, scene)
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(memory.drain_as_bytes())
     return path
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import Container, DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
 
@@ -115,20 +115,6 @@ def require_columns(steps: TensorDictBase, wanted: Iterable[keys.NestedKey], rea
             f"The recording holds no column {'.'.join(missing[0])}, which {reader} needs; record "
             "with recorder.fields=null."
         )
-
-
-def require_groups(config: Container, wanted: Iterable[str]) -> None:
-    """Refuses a recorded configuration that lacks a group.
-
-    Raises:
-        RecordingError: It names the group.
-    """
-    for name in wanted:
-        if name not in config:
-            raise RecordingError(
-                f"The recording's attachment 'config.yaml' names no '{name}', so it is not that of "
-                "a run; take the files that RESC wrote."
-            )
 
 
 def with_success(episodes: TensorDict | None) -> TensorDict | None:
