@@ -17,6 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
 from resc.build import build
+from resc.command_line import command
 from resc.errors import RescError
 from resc.evaluation.run_folder import finish_run, link_latest
 from resc.launch import launch, refuse_doubles
@@ -84,7 +85,8 @@ def run(config: DictConfig, folder: Path) -> None:
     if not complete:
         finish_run(folder, summary)
         sys.exit(
-            f"Stopped after {trainer.frames} frames. Go on with: python train.py resume={folder}"
+            f"Stopped after {trainer.frames} frames. Go on with: "
+            + command("train.py", {"resume": folder})
         )
     flights = fly_held_out(config, folder, HydraConfig.get().overrides.task)
     rates = {"success_rate": flights.success_rate, "collision_rate": flights.collision_rate}

@@ -6,7 +6,6 @@ Imports no torch: processes of SLURM and Ray that wait for a run begin at once, 
 
 import fcntl
 import json
-import shlex
 import signal
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from resc.command_line import override, shell
 from resc.evaluation.run_folder import (
     CHECKPOINT,
     CONFIG,
@@ -56,9 +56,9 @@ class Job:
     def command(self) -> list[str]:
         """What runs it, from its checkpoint where there is one."""
         command = [sys.executable, str(self.script), *self.overrides]
-        command.append(f"hydra.run.dir={quoted(self.folder)}")
+        command.append(override("hydra.run.dir", self.folder))
         if all((self.folder / name).exists() for name in (CHECKPOINT, CONFIG)):
-            command.append(f"resume={quoted(self.folder)}")
+            command.append(override("resume", self.folder))
         return command
 
 
@@ -128,7 +128,7 @@ class Runner:
         reason = last.removeprefix("error: ")
         if code < 0:
             reason = f"killed by {signal.Signals(-code).name}; perhaps the memory ran out"
-        head = f"{reason}\n\nRun {' '.join(job.overrides)}\nAgain: {shlex.join(job.command)}\n"
+        head = f"{reason}\n\nRun {' '.join(job.overrides)}\nAgain: {shell(*job.command)}\n"
         (job.folder / FAILURE).write_text("\n".join([head, *lines[-LINES:]]) + "\n")
         return Outcome(job, "failed", reason)
 
@@ -141,8 +141,3 @@ def run_alone(job: Job) -> Outcome:
 def success_of(job: Job) -> str:
     """The success of a finished run, for people."""
     return f"{summary_of(job.folder)['success_rate']:.1%} succeed"
-
-
-def quoted(path: Path) -> str:
-    """A path as the value of an override."""
-    return "'" + str(path).replace("'", "\\'") + "'"

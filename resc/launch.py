@@ -1,9 +1,10 @@
 """Starting a Hydra script: a wrong override gets one sentence with the nearest right name."""
 
+import contextlib
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -12,11 +13,13 @@ from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from resc.build import load_config, nearest
+from resc.command_line import override
 from resc.errors import ConfigError, RescError
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -24,6 +27,8 @@ LISTS = ("sensor", "observation", "termination", "reward", "randomization", "met
 """Groups of which a configuration takes several files."""
 SWEEP = "multirun.yaml"
 """What Hydra leaves in the folder of a sweep."""
+PATHS = ("resume", "policy", "replay")
+"""Settings whose value is a path, typed as it is."""
 MULTIRUN = ("-m", "--multirun")
 MODE = ("hydra.mode", "hydra.sweep.dir")
 
@@ -37,7 +42,7 @@ def launch(main: Callable[[], None], config_name: str) -> None:
         "HYDRA_FULL_ERROR", "1"
     )  # Hydra then raises instead of printing and exiting
     try:
-        sys.argv[1:] = quoted_replay(resumed_sweep(sys.argv[1:]))
+        sys.argv[1:] = resumed_sweep(quoted_paths(sys.argv[1:]))
         main()
     except HydraException as error:
         sys.exit(f"error: {explain(error, config_name)}")
@@ -55,7 +60,7 @@ def resumed_sweep(arguments: list[str]) -> list[str]:
     Other arguments given with `resume=` come last: launcher=joblib.
     """
     chosen = [text for text in arguments if text.startswith("resume=")]
-    folder = Path(chosen[-1].removeprefix("resume=")).resolve() if chosen else None
+    folder = Path(_text_of(chosen[-1])).resolve() if chosen else None
     if folder is None or not (folder / SWEEP).exists():
         return arguments
     hydra = load_config(folder / SWEEP).get("hydra")
@@ -65,13 +70,33 @@ def resumed_sweep(arguments: list[str]) -> list[str]:
     keys = {text.partition("=")[0] for text in given}
     stored = [*hydra["overrides"]["hydra"], *hydra["overrides"]["task"]]
     kept = [text for text in stored if text.partition("=")[0] not in {*keys, *MODE}]
-    return ["-m", *kept, *given, f"hydra.sweep.dir='{folder}'"]
+    return ["-m", *kept, *given, override("hydra.sweep.dir", folder)]
 
 
-def quoted_replay(arguments: list[str]) -> list[str]:
-    """The arguments, with quotes around the value of `replay=`: Hydra takes no bare #."""
-    bare = re.compile(r"replay=([^'\"].*#.*)")
-    return [f"replay='{found[1]}'" if (found := bare.fullmatch(a)) else a for a in arguments]
+def quoted_paths(arguments: Sequence[str]) -> list[str]:
+    """The arguments, with quotes around paths that Hydra would not read as texts.
+
+    A path typed bare may hold what means something to Hydra: `replay=runs/latest/rollouts#17`,
+    `policy=runs/lr=0.1`, `resume=runs/a, b`; a comma with `-m` is between paths.
+    """
+    swept = not set(arguments).isdisjoint(MULTIRUN)
+    return [_quoted_path(text, swept=swept) for text in arguments]
+
+
+def _quoted_path(argument: str, *, swept: bool) -> str:
+    key, _, value = argument.partition("=")
+    if key not in PATHS or value == "null":
+        return argument
+    with contextlib.suppress(HydraException):
+        parsed = OverridesParser.create().parse_override(argument)
+        if swept if parsed.is_sweep_override() else isinstance(parsed.value(), str):
+            return argument
+    return override(key, value)
+
+
+def _text_of(argument: str) -> str:
+    """The value of an override that is a text, without its quotes."""
+    return str(OverridesParser.create().parse_override(argument).value())
 
 
 def refuse_doubles() -> None:

@@ -9,7 +9,6 @@ import importlib
 import json
 import os
 import platform
-import shlex
 import signal
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol, runtime_checkable
 
+from resc.command_line import command, shell
 from resc.errors import ConfigError, SweepError
 from resc.evaluation.ablation import write_report
 from resc.evaluation.run_folder import FAILURE, JOB, ORIGIN
@@ -197,7 +197,7 @@ def note_origin(folder: Path) -> None:
         return
     folder.mkdir(parents=True, exist_ok=True)
     origin = {
-        "command": shlex.join(["python", Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": shell("python", Path(sys.argv[0]).name, *sys.argv[1:]),
         "commit": _git("rev-parse", "--short=12", "HEAD") or "unknown",
         "machine": f"{_processor()}, {len(os.sched_getaffinity(0))} cores, {platform.system()}",
         "versions": f"Python {platform.python_version()}, torch {version('torch')}",
@@ -219,7 +219,7 @@ def require_success(outcomes: Sequence[Outcome], folder: Path) -> None:
         why = f" Why: {folder}/{names['failed'][0]}/{FAILURE}." if names["failed"] else ""
         raise SweepError(
             f"{sum(map(len, names.values()))} of {len(outcomes)} runs are not finished "
-            f"({'; '.join(parts)}).{why} Go on with: python train.py resume={folder}"
+            f"({'; '.join(parts)}).{why} Go on with: " + command("train.py", {"resume": folder})
         )
 
 

@@ -6,8 +6,11 @@ import sys
 import time
 from pathlib import Path
 
-arguments = dict(text.partition("=")[::2] for text in sys.argv[1:])
-folder = Path(arguments["hydra.run.dir"].strip("'"))
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+overrides = OverridesParser.create().parse_overrides(sys.argv[1:])
+arguments = {override.key_or_group: override.value() for override in overrides}
+folder = Path(arguments["hydra.run.dir"])
 with (folder / "starts.txt").open("a") as file:
     file.write("resumed\n" if "resume" in arguments else "fresh\n")
 

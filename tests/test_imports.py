@@ -7,7 +7,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"math", "keys", "errors", "process"},
+    {"math", "keys", "errors", "process", "command_line"},
     {"term"},
     {"simulation", "maps", "scenes", "terms"},
     {"envs", "planning", "build", "schema"},

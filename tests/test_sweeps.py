@@ -206,7 +206,7 @@ def test_folder_of_a_sweep_resumes_the_command_that_began_it(tmp_path):
         "+experiment=ablate_history",
         "seed=0,1",
         "launcher=joblib",
-        f"hydra.sweep.dir='{tmp_path}'",
+        f"hydra.sweep.dir={tmp_path}",
     ]
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
+from resc.command_line import command
 from resc.errors import ConfigError
 from resc.evaluation.flights import Flights
 from resc.scenes.pool import ScenePool
@@ -86,9 +87,10 @@ def read_episodes(path: Path, expected: int) -> Episodes:
     Raises:
         ConfigError: The file is missing, cut, or not of `expected` episodes.
     """
-    repair = "delete it and go on with the sweep (resume=), which flies the episodes again"
+    again = command("train.py", {"resume": path.parents[1]})
+    repair = f"delete it; the sweep flies the episodes again when it goes on with: {again}"
     if not path.exists():
-        raise ConfigError(f"{path} is missing; {repair}.")
+        raise ConfigError(f"{path} is missing; {repair}")
     try:
         text = path.read_text()
         header, *rows = csv.reader(text.splitlines())
@@ -102,9 +104,9 @@ def read_episodes(path: Path, expected: int) -> Episodes:
             for name, column in columns.items()
         }
     except (ValueError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path} is cut or damaged ({error}); {repair}.") from None
+        raise ConfigError(f"{path} is cut or damaged ({error}); {repair}") from None
     if missing := [name for name in COLUMNS if name not in table]:
-        raise ConfigError(f"{path} has no column {missing[0]}; {repair}.")
+        raise ConfigError(f"{path} has no column {missing[0]}; {repair}")
     return table
 
 

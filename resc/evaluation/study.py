@@ -12,6 +12,7 @@ from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from resc.build import load_config
+from resc.command_line import command
 from resc.errors import ConfigError
 from resc.evaluation.held_out import Episodes, held_out_rules, read_episodes
 from resc.evaluation.run_folder import (
@@ -110,7 +111,7 @@ def read_sweep(folder: Path) -> Sweep:
     if not sweep.finished():
         raise ConfigError(
             f"{folder} holds no finished run ({len(folders)} begun); go on with: "
-            f"python train.py resume={folder}"
+            + command("train.py", {"resume": folder})
         )
     _require_one_task(sweep)
     return sweep
@@ -123,7 +124,8 @@ def overrides_of(folder: Path) -> tuple[str, ...]:
         return tuple(str(text) for text in json.loads(path.read_text())["overrides"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
-            f"{path} cannot be read ({error}); delete the folder and go on with the sweep."
+            f"{path} cannot be read ({error}); delete the folder and go on with: "
+            + command("train.py", {"resume": folder.parent})
         ) from None
 
 
@@ -180,7 +182,8 @@ def _read_run(folder: Path, variant: str, overrides: tuple[str, ...]) -> Run:
         return replace(run, episodes=episodes, curve=_read_curve(folder / PROGRESS))
     if (folder / SUMMARY).exists() and not summary:
         raise ConfigError(
-            f"{folder / SUMMARY} is cut or damaged; delete it and go on with the sweep (resume=)."
+            f"{folder / SUMMARY} is cut or damaged; delete it and go on with: "
+            + command("train.py", {"resume": folder.parent})
         )
     failure = folder / FAILURE
     reason = "not finished"
@@ -205,8 +208,8 @@ def _read_curve(path: Path) -> Columns:
         }
     except (OSError, ValueError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(
-            f"{path} is cut or damaged ({error}); delete the run's folder and go on with the sweep "
-            "(resume=)."
+            f"{path} is cut or damaged ({error}); delete the run's folder and go on with: "
+            + command("train.py", {"resume": path.parents[1]})
         ) from None
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from resc.command_line import shell
 from resc.errors import RecordingError
 from resc.recording import records
 from resc.recording.records import ChunkRef, Contents, Place
@@ -66,8 +67,9 @@ class Source:
 
     @contextmanager
     def _reading(self, chunk: ChunkRef) -> Iterator[bytes]:
-        advice = "copy it again, read other batches, or write what is readable to another file "
-        with _blaming(self.path, chunk.offset, f"{advice}(python -m resc.recording recover)"):
+        rescue = shell("resc-log", "recover", self.path, "--out", "saved.mcap")
+        advice = f"copy it again, save what is readable ({rescue}), or read other batches"
+        with _blaming(self.path, chunk.offset, advice):
             with open_recording(self.path) as file:
                 data = records.read_chunk(file, chunk)
             yield data

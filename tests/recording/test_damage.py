@@ -2,6 +2,7 @@
 
 import functools
 import random
+import shlex
 import struct
 import time
 import uuid
@@ -261,15 +262,19 @@ def test_a_file_cut_in_its_footer_gives_everything(whole, tmp_path):
 
 
 def test_a_damaged_batch_is_named_and_the_others_are_read(whole, tmp_path):
-    path = tmp_path / "damaged.mcap"
+    path = tmp_path / "lr=0.1, b.mcap"
     path.write_bytes(whole)
     chunk = open_source(path).chunks_of("/rollout")[1]
     damaged = bytearray(whole)
     damaged[chunk.offset + chunk.length - 20] ^= 1
     path.write_bytes(damaged)
     log = RolloutLog(path)
-    with pytest.raises(RecordingError, match=f"damaged at byte {chunk.offset}; .* other batches"):
+    with pytest.raises(
+        RecordingError, match=f"damaged at byte {chunk.offset}; .* other batches"
+    ) as raised:
         log.batch(1)
+    rescue = str(raised.value).partition("(")[2].partition(")")[0]
+    assert shlex.split(rescue) == ["resc-log", "recover", str(path), "--out", "saved.mcap"]
     for index in (0, 2, 3):
         expected = rollout(index)["state", "position_w"]
         assert torch.equal(log.batch(index)["state", "position_w"], expected)
