@@ -18,8 +18,8 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from resc.errors import ConfigError
-from resc.evaluation.run_folder import summary_of
 from resc.jobs import Job, Outcome
+from resc.run_folder import summary_of
 from resc.sweeps import Backend, needed, report, require_success, run_sweep
 
 OF_THE_SWEEP = ("launcher", "hydra")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from resc.command_line import override, shell
-from resc.evaluation.run_folder import (
+from resc.run_folder import (
     CHECKPOINT,
     CONFIG,
     FAILURE,

@@ -3,8 +3,9 @@
 import contextlib
 import os
 import re
+import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -21,6 +22,7 @@ from omegaconf import DictConfig
 from resc.build import load_config, nearest
 from resc.command_line import override
 from resc.errors import ConfigError, RescError
+from resc.run_folder import CONFIG, LATEST, latest, sweep_of
 
 CONF = Path(__file__).parents[1] / "conf"
 LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric")
@@ -34,24 +36,78 @@ MODE = ("hydra.mode", "hydra.sweep.dir")
 
 
 def launch(main: Callable[[], None], config_name: str) -> None:
-    """Runs a `hydra.main` function; what Hydra refuses ends it with one sentence and status 1.
+    """Runs a `hydra.main` function; what goes wrong ends it with one sentence and status 1.
 
-    `resume=` with the folder of a sweep becomes the command that began it.
+    `resume=` with the folder of a sweep becomes the command that began it. SIGTERM unwinds, so that
+    recordings are completed.
     """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     os.environ.setdefault(
         "HYDRA_FULL_ERROR", "1"
     )  # Hydra then raises instead of printing and exiting
+    with answering():
+        try:
+            sys.argv[1:] = resumed_sweep(in_its_folder(quoted_paths(sys.argv[1:])))
+            main()
+        except HydraException as error:
+            raise ConfigError(explain(error, config_name)) from None
+        except ValueError as error:
+            if not str(error).startswith("Only one of --run"):
+                raise
+            raise ConfigError(f"{error}; leave out all but one.") from None
+
+
+@contextlib.contextmanager
+def answering() -> Iterator[None]:
+    """Ends the process with one sentence and status 1 where something is wrong.
+
+    Within a `hydra.main` function, too: of other exceptions Hydra speaks first.
+    """
     try:
-        sys.argv[1:] = resumed_sweep(quoted_paths(sys.argv[1:]))
-        main()
-    except HydraException as error:
-        sys.exit(f"error: {explain(error, config_name)}")
-    except ValueError as error:
-        if not str(error).startswith("Only one of --run"):
-            raise
-        sys.exit(f"error: {error}; leave out all but one.")
-    except RescError as error:
-        sys.exit(f"error: {error}")
+        yield
+    except (RescError, OSError) as error:
+        told = str(error)
+        if isinstance(error, OSError) and error.filename is not None:
+            told = f"{error.filename} cannot be used ({error.strerror}); give another, or mend it."
+        sys.exit("\n".join([f"error: {told}", *getattr(error, "__notes__", [])]))
+    except KeyboardInterrupt as error:
+        print("\n".join(["Stopped.", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        sys.exit(130)
+
+
+def in_its_folder(arguments: list[str]) -> list[str]:
+    """The arguments; a run that is resumed keeps its folder, so that Hydra makes no other.
+
+    `resume=latest` becomes the newest run, or the sweep that it is of.
+
+    Raises:
+        ConfigError: There is no such folder, or it holds neither a run nor a sweep.
+    """
+    chosen = [text for text in arguments if text.startswith("resume=")]
+    text = _text_of(chosen[-1]) if chosen else "null"
+    if text in ("null", "None"):
+        return arguments
+    folder = newest() if text == LATEST else Path(text).resolve()
+    if not any((folder / name).exists() for name in (CONFIG, SWEEP)):
+        raise ConfigError(
+            f"resume is '{text}', which holds no run and no sweep; give the folder of an "
+            "interrupted one."
+        )
+    if any(text.startswith("hydra.run.dir=") for text in arguments):
+        return arguments
+    rest = [text for text in arguments if text not in chosen]
+    own = [] if (folder / SWEEP).exists() else [override("hydra.run.dir", folder)]
+    return [*rest, override("resume", folder), *own]
+
+
+def newest() -> Path:
+    """The run trained last below the working directory, or the sweep that it is of.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    folder = latest("train", "resume")
+    return sweep_of(folder) or folder
 
 
 def resumed_sweep(arguments: list[str]) -> list[str]:
@@ -111,10 +167,7 @@ def refuse_doubles() -> None:
     overrides = [*hydra.overrides.hydra, *hydra.overrides.task]
     loader = GlobalHydra.instance().config_loader()
     listed = loader.compute_defaults_list(hydra.job.config_name, overrides, RunMode.RUN)
-    search = ConfigSearchPathImpl()
-    for source in hydra.runtime.config_sources:
-        search.append(source.provider, f"{source.schema}://{source.path}")
-    files = ConfigRepository(search)
+    files = files_of_run()
     defined: dict[str, str] = {}
     for path, package in ((d.config_path, d.package) for d in listed.defaults):
         loaded = files.load_config(path) if path and package in LISTS else None
@@ -128,6 +181,14 @@ def refuse_doubles() -> None:
                 source = " and ".join(both) if len(both) > 1 else f"{path}, listed twice"
                 raise ConfigError(f"{term} is defined by {source}; keep one, or rename the other.")
             defined[term] = str(path)
+
+
+def files_of_run() -> ConfigRepository:
+    """The files of configuration that the run is composed from, hydra.searchpath included."""
+    search = ConfigSearchPathImpl()
+    for source in HydraConfig.get().runtime.config_sources:
+        search.append(source.provider, f"{source.schema}://{source.path}")
+    return ConfigRepository(search)
 
 
 def explain(error: HydraException, config_name: str) -> str:

@@ -4,6 +4,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
+from omegaconf import OmegaConf
+
+from resc.run_folder import new_folder
 
 
 @dataclass
@@ -57,7 +60,7 @@ class TrainSchema(RunSchema):
         evaluation_seed: Of those scenes; training seeds are never this one.
         held_out: Groups that those episodes are flown with in place of training's; the metrics in
             evaluation.csv are its `metric`.
-        resume: Folder of an interrupted run to go on with.
+        resume: Folder of an interrupted run to go on with; `latest` is the last one.
         checkpoint_every_s: Seconds between checkpoints.
     """
 
@@ -86,8 +89,9 @@ class EvaluateSchema(RunSchema):
     flown.
 
     Args:
-        policy: Folder of a shipped policy or of a finished training run.
-        scenes: Files of conf/scene to fly.
+        policy: Folder of a shipped policy or of a finished training run; `latest` is the last one
+            that was trained.
+        scenes: Files of conf/scene to fly: a list, or the name of one.
         flights: Flights per scene.
         scene_files: First flights of each scene written as 3-D scenes, beside the best and the
             worst; 0 for none. There are none without a recorder.
@@ -100,14 +104,15 @@ class EvaluateSchema(RunSchema):
     seed: int = 1_000_003
     compile: bool = False
     policy: str = "policies/obstacles"
-    scenes: list[str] = field(default_factory=list)
+    scenes: Any = field(default_factory=list)
     flights: int = 20
     scene_files: int = 1
     replay: str | None = None
 
 
 def register() -> None:
-    """Makes `schema` of train.yaml and `evaluate_schema` of evaluate.yaml known to Hydra."""
+    """Makes the schemas of train.yaml and evaluate.yaml, and `new_folder`, known to Hydra."""
+    OmegaConf.register_new_resolver("new_folder", new_folder, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=TrainSchema)
     store.store(name="evaluate_schema", node=EvaluateSchema)

@@ -22,9 +22,9 @@ from typing import Any, Protocol, runtime_checkable
 from resc.command_line import command, shell
 from resc.errors import ConfigError, SweepError
 from resc.evaluation.ablation import write_report
-from resc.evaluation.run_folder import FAILURE, JOB, ORIGIN
 from resc.evaluation.study import differing, overrides_of
 from resc.jobs import SCRIPT, Job, Outcome, Runner, Status, run_alone
+from resc.run_folder import FAILURE, JOB, ORIGIN
 
 POLL_S = 0.5
 
@@ -190,14 +190,15 @@ def run_sweep(jobs: Sequence[Job], backend: Backend) -> list[Outcome]:
     return [outcomes.get(job, Outcome(job, "stopped", "not begun")) for job in jobs]
 
 
-def note_origin(folder: Path) -> None:
-    """Writes which command, commit and machine a sweep is from, unless it was written before."""
+def note_origin(folder: Path, overrides: Sequence[str] = ()) -> None:
+    """Writes command, overrides, commit and machine of a run or sweep, unless they are there."""
     path = folder / ORIGIN
     if path.exists():
         return
     folder.mkdir(parents=True, exist_ok=True)
     origin = {
         "command": shell("python", Path(sys.argv[0]).name, *sys.argv[1:]),
+        "overrides": list(overrides),
         "commit": _git("rev-parse", "--short=12", "HEAD") or "unknown",
         "machine": f"{_processor()}, {len(os.sched_getaffinity(0))} cores, {platform.system()}",
         "versions": f"Python {platform.python_version()}, torch {version('torch')}",

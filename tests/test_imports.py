@@ -7,10 +7,10 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"math", "keys", "errors", "process", "command_line"},
+    {"math", "keys", "errors", "process", "command_line", "console", "run_folder"},
     {"term"},
     {"simulation", "maps", "scenes", "terms"},
-    {"envs", "planning", "build", "schema"},
+    {"envs", "planning", "build", "schema", "settings"},
     {"learning", "evaluation", "recording", "baselines", "deployment"},
     {"jobs", "launch", "sweeps"},
 )

@@ -12,7 +12,6 @@ from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.flights import Flights, fly_recorded
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
-from resc.evaluation.run_folder import finish_run
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.evaluation.statistics import join, report_scenes, tabulate
@@ -20,6 +19,7 @@ from resc.evaluation.table import failures, markdown, summary, write_flights, wr
 from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
 from resc.recording.rollouts import provenance
+from resc.run_folder import finish_run
 
 ROLLOUTS, SCENES = "rollouts", "scenes"
 Settings = Mapping[str, Any]
@@ -83,7 +83,7 @@ def evaluate(
         "seed": config["seed"],
         **provenance(),
     }
-    finish_run(folder, figures)
+    finish_run(folder, figures, "evaluation")
     return f"{text}\n{_left_in(folder, told)}"
 
 

@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import Stages
 from resc.errors import ConfigError
 from resc.evaluation.flight_log import FlightLog
 from resc.learning.checkpoint import Policy as TrainedPolicy
@@ -96,10 +97,7 @@ def fly(
     Raises:
         ConfigError: No termination ends a flight that hovers for ever.
     """
-    if not any(term.truncates for term in env.stages.terms.terminations):
-        raise ConfigError(
-            "termination has no time limit, so a flight may never end; add time_limit."
-        )
+    require_time_limit(env.stages)
     began = time.perf_counter()
     observation = env.restart(torch.arange(env.num_envs))
     log = None if recorder is None else FlightLog(recorder, env)
@@ -180,6 +178,14 @@ def fly_recorded(
     finally:
         if recorder is not None:
             recorder.close()
+
+
+def require_time_limit(stages: Stages) -> None:
+    """Raises ConfigError if no termination ends a flight that hovers for ever."""
+    if not any(term.truncates for term in stages.terms.terminations):
+        raise ConfigError(
+            "termination has no time limit, so a flight may never end; add time_limit."
+        )
 
 
 def _state_of(env: QuadrotorEnv) -> tuple[Tensor, Tensor]:

@@ -20,7 +20,6 @@ from resc.build import build_env
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError, RecordingError
 from resc.evaluation.courses import LaidOut
-from resc.evaluation.run_folder import finish_run
 from resc.keys import NestedKey
 from resc.learning.ppo import RENEWED
 from resc.math.sampling import generator_for
@@ -33,6 +32,7 @@ from resc.recording.rollouts import (
     require_columns,
 )
 from resc.recording.selection import Selection
+from resc.run_folder import finish_run
 from resc.scenes.layout import Layout
 from resc.scenes.pool import ScenePool
 
@@ -117,7 +117,7 @@ def replay(location: str, folder: Path, *, allowed: Sequence[str] = ()) -> str:
         "wall_s": time.perf_counter() - began,
         **provenance(),
     }
-    finish_run(folder, figures)
+    finish_run(folder, figures, "replay")
     return result.report()
 
 

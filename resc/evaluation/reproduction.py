@@ -17,7 +17,7 @@ from typing import Any
 from scipy.stats import t as student
 
 from resc.errors import ConfigError, RescError
-from resc.evaluation.run_folder import SUMMARY
+from resc.run_folder import SUMMARY
 
 STORED = Path(__file__).parents[2] / "docs" / "results" / "default_training.json"
 

@@ -15,7 +15,7 @@ from resc.build import load_config
 from resc.command_line import command
 from resc.errors import ConfigError
 from resc.evaluation.held_out import Episodes, held_out_rules, read_episodes
-from resc.evaluation.run_folder import (
+from resc.run_folder import (
     CONFIG,
     EPISODES,
     FAILURE,

@@ -1,5 +1,6 @@
 """From a training configuration to a trainer, new or resumed, and to its held-out evaluation."""
 
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -7,13 +8,26 @@ from typing import Any
 from omegaconf import DictConfig, open_dict
 
 from resc.build import build, build_env, build_pool, build_terms, load_config
+from resc.command_line import command
+from resc.envs.quadrotor import QuadrotorEnv, layout_of
+from resc.envs.stages import Stages
 from resc.errors import ConfigError
-from resc.evaluation.flights import Flights, fly_recorded
+from resc.evaluation.flights import Flights, fly_recorded, require_time_limit
 from resc.evaluation.held_out import held_out_rules, tabulate_episodes, write_episodes
-from resc.evaluation.run_folder import EPISODES, HELD_OUT
-from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint, load_policy
+from resc.learning.checkpoint import load_checkpoint, load_policy, require_same_layout
 from resc.learning.ppo import Ppo
 from resc.planning.route import planner_for
+from resc.run_folder import (
+    CHECKPOINT,
+    CONFIG,
+    EPISODES,
+    HELD_OUT,
+    ORIGIN,
+    json_of,
+    sweep_of,
+)
+from resc.schema import TrainSchema
+from resc.settings import check_settings, honoured
 from resc.term import Curriculum
 
 CLOSED_BATCHES = 4
@@ -26,6 +40,7 @@ def build_trainer(config: DictConfig) -> Ppo:
     Raises:
         ConfigError: A name, a number or a combination is wrong.
     """
+    check_settings(config, TrainSchema)
     renewed, size = config["renew_scenes"], config["pool_size"]
     if not 0 <= (CLOSED_BATCHES + 1) * renewed <= size:
         raise ConfigError(
@@ -59,7 +74,7 @@ def build_trainer(config: DictConfig) -> Ppo:
     return Ppo(
         env,
         networks,
-        build(config["algorithm"], "algorithm"),
+        build(config["algorithm"], "algorithm", allowed=config["allowed_targets"]),
         total_frames=config["total_frames"],
         seed=config["seed"],
         compile=config["compile"],
@@ -68,46 +83,97 @@ def build_trainer(config: DictConfig) -> Ppo:
     )
 
 
-def resumed(config: DictConfig, folder: Path) -> tuple[DictConfig, Path]:
-    """Configuration and folder to train with: those of the run that `resume` names, if any.
+def resumed(config: DictConfig, overrides: Sequence[str], folder: Path) -> DictConfig:
+    """Configuration of the run in `folder`, which `resume` names.
 
-    A larger `total_frames` on the command line lengthens the run.
+    Of the command line's `overrides`, a larger `total_frames` lengthens the run; threads,
+    checkpoint_every_s and allowed_targets (a folder cannot opt in for its reader) are taken over.
+
+    Raises:
+        ConfigError: There is no such run, it is part of a sweep that has another budget, or an
+            override cannot be honoured.
     """
-    if not config["resume"]:
-        return config, folder
-    folder = Path(config["resume"]).resolve()
+    if folder.resolve() != Path(config["resume"]).resolve():
+        raise ConfigError(
+            f"hydra.run.dir is {folder}, but a resumed run stays where it is; leave it out."
+        )
     stored = load_config(folder / CONFIG)
+    if "total_frames" not in stored:
+        raise ConfigError(f"{folder} holds no training run; give the folder of one.")
+    check_settings(stored, TrainSchema)
+    made_with = json_of(folder / ORIGIN).get("overrides", ())
+    changed = honoured(overrides, made_with, folder)
+    if "total_frames" in changed:
+        _require_longer(config["total_frames"], stored["total_frames"], folder)
     with open_dict(stored):
-        stored["resume"] = config["resume"]
-        stored["allowed_targets"] = config[
-            "allowed_targets"
-        ]  # a folder cannot opt in for its reader
-        stored["total_frames"] = max(stored["total_frames"], config["total_frames"])
-    return stored, folder
+        for name in {*changed, "resume", "allowed_targets"}:
+            stored[name] = config[name]
+    return stored
 
 
-def restore(trainer: Ppo, folder: Path, config: DictConfig) -> None:
-    """Loads the checkpoint of the run that `resume` names, if any."""
-    if config["resume"]:
+def _require_longer(frames: int, budget: int, folder: Path) -> None:
+    if frames < budget:
+        raise ConfigError(
+            f"total_frames is {frames}, but the run in {folder} was given {budget}; a resumed run "
+            "can only be lengthened."
+        )
+    if frames > budget and (sweep := sweep_of(folder)):
+        raise ConfigError(
+            f"total_frames is {frames}, but {folder.name} is a run of the sweep {sweep}, whose "
+            f"runs all take {budget}; begin a longer sweep, or go on with: "
+            + command("train.py", {"resume": sweep})
+        )
+
+
+def restore(trainer: Ppo, folder: Path) -> None:
+    """Loads the checkpoint of a folder; without one, the run begins again."""
+    if (folder / CHECKPOINT).exists():
         load_checkpoint(folder / CHECKPOINT, trainer)
+    else:
+        print(f"{folder} holds no checkpoint yet: the run begins again.", flush=True)
+
+
+def build_held_out(config: Mapping[str, Any], episodes: int) -> tuple[QuadrotorEnv, dict[str, Any]]:
+    """The environment of the held-out episodes, one a row, and the rules that made it.
+
+    Groups under `held_out` replace training's.
+    """
+    rules = held_out_rules(config)
+    seed = rules["evaluation_seed"]
+    rules |= {"num_envs": episodes, "seed": seed, "recorder": _whole(rules["recorder"])}
+    pool = build_pool(
+        rules, size=episodes, seed=seed, device=rules["device"], plan=planner_for(rules)
+    )
+    return build_env(rules, pool, seed=seed, in_order=True), rules
+
+
+def check_held_out(config: DictConfig, stages: Stages) -> None:
+    """Builds the held-out flights on a small scale, so that they cannot fail after the training.
+
+    Raises:
+        ConfigError: They cannot be built, or have no time limit.
+        CheckpointError: They show the policy other observations than training does.
+    """
+    try:
+        env, _ = build_held_out({**held_out_rules(config), "compile": False}, 1)
+        require_time_limit(env.stages)
+    except ConfigError as error:
+        raise ConfigError(f"held_out: {error}") from None
+    require_same_layout(layout_of(stages), env.stages)
 
 
 def fly_held_out(config: DictConfig, folder: Path, overrides: Sequence[str] = ()) -> Flights:
     """The policy's mean action over fixed episodes of the training law, on unseen scenes.
 
-    Groups under `held_out` replace training's. The episodes are also left in evaluation.csv, and
-    recorded whole in the folder `held_out`, whatever part of the training is.
+    The episodes are also left in evaluation.csv, and recorded whole in the folder `held_out`,
+    whatever part of the training is. Flights that were cut short are flown again.
     """
-    rules = held_out_rules(config)
-    episodes, seed = rules["evaluation_episodes"], rules["evaluation_seed"]
-    rules |= {"num_envs": episodes, "seed": seed, "recorder": _whole(rules["recorder"])}
-    pool = build_pool(
-        rules, size=episodes, seed=seed, device=rules["device"], plan=planner_for(rules)
-    )
-    env = build_env(rules, pool, seed=seed, in_order=True)
-    policy = load_policy(folder, rules["device"])
+    if (folder / HELD_OUT).exists():
+        shutil.rmtree(folder / HELD_OUT)
+    env, rules = build_held_out(config, config["evaluation_episodes"])
+    policy = load_policy(folder, rules["device"], rules["allowed_targets"])
     flights = fly_recorded(env, policy, rules, folder / HELD_OUT, overrides, trace=False)
-    write_episodes(folder / EPISODES, tabulate_episodes(flights, pool))
+    write_episodes(folder / EPISODES, tabulate_episodes(flights, env.pool))
     return flights
 
 

@@ -5,9 +5,10 @@ Both are data, loaded without running code.
 
 import io
 import os
-import pickle
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,24 @@ from resc.build import build, load_config
 from resc.envs.quadrotor import layout_of
 from resc.envs.stages import Stages
 from resc.errors import CheckpointError
-from resc.evaluation.run_folder import CHECKPOINT as CHECKPOINT
-from resc.evaluation.run_folder import CONFIG as CONFIG
 from resc.learning.networks import Networks
 from resc.learning.ppo import Ppo
+from resc.run_folder import CONFIG, POLICY
 
 Layout = tuple[tuple[str, int], ...]
-POLICY = "policy.pt"
+ACTION_WIDTH = 4
+"""Of policies stored before their files said it."""
+NEEDED = (
+    "actor",
+    "critic",
+    "optimizer",
+    "world",
+    "observation",
+    "pool",
+    "layout",
+    "curricula",
+)
+"""Without these a file is no checkpoint."""
 
 
 @dataclass(frozen=True)
@@ -51,19 +63,20 @@ class Policy:
 
     def require_layout(self, stages: Stages) -> None:
         """Raises CheckpointError, naming the first difference, if observations differ."""
-        theirs = tuple(layout_of(stages))
-        if theirs == self.layout:
-            return
-        for number in range(max(len(theirs), len(self.layout))):
-            trained = self.layout[number] if number < len(self.layout) else ("nothing", 0)
-            given = theirs[number] if number < len(theirs) else ("nothing", 0)
-            if trained != given:
-                raise CheckpointError(
-                    f"The policy was trained on {trained[0]} ({trained[1]} numbers) as observation "
-                    f"block {number}, but the "
-                    f"environment gives {given[0]} ({given[1]}); fly it with the observation of "
-                    "its own config.yaml."
-                )
+        require_same_layout(self.layout, stages)
+
+
+def require_same_layout(trained: Sequence[tuple[str, int]], stages: Stages) -> None:
+    """Raises CheckpointError, naming the first difference, if observations are not those."""
+    given = layout_of(stages)
+    blocks = zip_longest(trained, given, fillvalue=("nothing", 0))
+    for number, (ours, theirs) in enumerate(blocks):
+        if ours != theirs:
+            raise CheckpointError(
+                f"The policy was trained on {ours[0]} ({ours[1]} numbers) as observation block "
+                f"{number}, but the environment gives {theirs[0]} ({theirs[1]}); fly it with the "
+                "observation of its own config.yaml."
+            )
 
 
 def save_policy(folder: Path, networks: Networks, stages: Stages, config: DictConfig) -> None:
@@ -77,13 +90,18 @@ def save_policy(folder: Path, networks: Networks, stages: Stages, config: DictCo
         "critic": value,
         "normalization": seen,
         "layout": [list(block) for block in layout_of(stages)],
+        "action_width": stages.terms.action.width,
     }
     write_atomically(folder / POLICY, content)
     OmegaConf.save(config, folder / CONFIG)
 
 
-def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
+def load_policy(
+    folder: Path, device: torch.device | str = "cpu", allowed: Sequence[str] = ()
+) -> Policy:
     """The policy of a run folder or of a shipped policy's folder.
+
+    Targets outside resc are built if one of the prefixes `allowed` covers them.
 
     Raises:
         CheckpointError: A file is missing, cut short or foreign.
@@ -96,21 +114,37 @@ def load_policy(folder: Path, device: torch.device | str = "cpu") -> Policy:
         )
     content = read(folder / POLICY, ("head", "layout"))
     config = load_config(folder / CONFIG)
-    layout = tuple((str(name), int(width)) for name, width in content["layout"])
-    networks = build(
-        config["model"],
-        "model",
-        observation_width=sum(width for _, width in layout),
-        action_width=4,
-    )
-    try:
+    if "model" not in config:
+        raise CheckpointError(f"{folder / CONFIG} lacks model; restore it from its run.")
+    with _fitting(folder / POLICY):
+        layout = tuple((str(name), int(width)) for name, width in content["layout"])
+        networks = build(
+            config["model"],
+            "model",
+            allowed=allowed,
+            observation_width=sum(width for _, width in layout),
+            action_width=int(content.get("action_width", ACTION_WIDTH)),
+        )
         networks.head.load_state_dict(content["head"])
         networks.normalization.load_state_dict(content.get("normalization", {}))
-    except RuntimeError as error:
-        raise CheckpointError(
-            f"{folder / POLICY} does not fit {CONFIG} beside it: {error}"
-        ) from None
     return Policy(networks.policy.to(device).eval(), layout, config)
+
+
+@contextmanager
+def _fitting(path: Path) -> Iterator[None]:
+    """Says of a file, whose content the program does not take, that it does not fit."""
+    try:
+        yield
+    except (RuntimeError, KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
+        mismatch = "size mismatch" in str(error) or "state_dict" in str(error)
+        reason = "its networks are others" if mismatch else _first_line(error)
+        raise CheckpointError(
+            f"{path} does not fit {CONFIG} beside it ({reason}); restore both from one run."
+        ) from None
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:120]
 
 
 def save_checkpoint(path: Path, trainer: Ppo) -> None:
@@ -122,6 +156,7 @@ def save_checkpoint(path: Path, trainer: Ppo) -> None:
         "normalization": trainer.networks.normalization.state_dict(),
         "optimizer": trainer.optimizer.state_dict(),
         "frames": trainer.frames,
+        "trained_s": trainer.trained_s,
         "iteration": trainer.iteration,
         "noise": trainer.noise.get_state(),
         "order": trainer.order.get_state(),
@@ -143,7 +178,7 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
         CheckpointError: The file is cut short, foreign, or of another observation or number of
             environments.
     """
-    content = read(path, ("actor", "critic", "optimizer", "world", "pool", "layout", "curricula"))
+    content = read(path, NEEDED)
     env = trainer.env
     layout = [list(block) for block in layout_of(env.stages)]
     if content["layout"] != layout:
@@ -155,11 +190,18 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
             f"{path} holds {content['observation'].shape[0]} environments, this run has "
             f"{env.num_envs}; set num_envs."
         )
+    with _fitting(path):
+        _take(content, trainer)
+
+
+def _take(content: Mapping[str, Any], trainer: Ppo) -> None:
+    env = trainer.env
     trainer.networks.actor.load_state_dict(content["actor"])
     trainer.networks.critic.load_state_dict(content["critic"])
     trainer.networks.normalization.load_state_dict(content.get("normalization", {}))
     trainer.optimizer.load_state_dict(content["optimizer"])
     trainer.frames, trainer.iteration = content["frames"], content["iteration"]
+    trainer.trained_s = content.get("trained_s", 0.0)  # older ones do not say
     trainer.noise.set_state(content["noise"].cpu())
     trainer.order.set_state(content["order"].cpu())
     trainer.statistics.load_state(content["statistics"])
@@ -189,10 +231,10 @@ def read(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
         raise CheckpointError(f"{path} does not exist; give the folder of an interrupted run.")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, pickle.UnpicklingError, ValueError, KeyError, OSError) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
+    except Exception as error:  # foreign bytes make the unpickler raise anything
         raise CheckpointError(
-            f"{path} cannot be read ({reason}); it is cut short, not a RESC file, or holds code."
+            f"{path} cannot be read ({_first_line(error)}); it is cut short, not a RESC file, or "
+            "holds code."
         ) from None
     if not isinstance(content, dict) or any(name not in content for name in names):
         raise CheckpointError(f"{path} lacks {', '.join(names)}; it was not written by RESC.")

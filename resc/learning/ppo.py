@@ -114,6 +114,7 @@ class Ppo:
         self.renew_scenes = renew_scenes
         self.frames = 0
         self.iteration = 0
+        self.trained_s = 0.0  # in all processes that trained it
         if settings.minibatch > settings.steps * env.num_envs:
             raise ConfigError(
                 f"algorithm.minibatch is {settings.minibatch}, more than a batch of "

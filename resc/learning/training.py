@@ -1,24 +1,28 @@
 """The life of a training run: batches until the frames are flown, saved on the way."""
 
+import math
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import cast
+from typing import Any, cast
 
 import torch
+from omegaconf import DictConfig
 from torch import Tensor
 from tqdm import tqdm
 
+from resc.build import build
 from resc.errors import RecordingError
-from resc.learning.checkpoint import CHECKPOINT, save_checkpoint
-from resc.learning.ppo import Ppo
-from resc.learning.progress import Logger, ProgressTable
-from resc.recording.rollouts import record_world, start_arrays, with_success
+from resc.learning.checkpoint import save_checkpoint, save_policy
+from resc.learning.ppo import RENEWED, Ppo
+from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
+from resc.recording.rollouts import open_recorder, record_world, start_arrays, with_success
 from resc.recording.writer import RolloutRecorder
+from resc.run_folder import CHECKPOINT, PROGRESS, ROLLOUTS, finish_run
 
 
 @dataclass
@@ -52,6 +56,58 @@ def stopping_at_batch_end() -> Iterator[Interruption]:
             signal.signal(number, handler)
 
 
+def train_and_save(
+    trainer: Ppo, config: DictConfig, folder: Path, overrides: Sequence[str]
+) -> dict[str, Any]:
+    """Trains until the budget is spent or a signal comes, saves; returns frames and seconds.
+
+    The summary counts all processes that trained the run, and, under `process`, this one alone.
+    """
+    recorder = open_recorder(
+        config,
+        trainer.env.stages,
+        directory=folder / ROLLOUTS,
+        outcomes=(*trainer.env.stages.outcomes, RENEWED),
+        num_envs=config["num_envs"],
+        policy=trainer.networks.policy,
+        overrides=overrides,
+    )
+    allowed = config["allowed_targets"]
+    logger = build(config["logger"], "logger", allowed=allowed, folder=folder)
+    table = ProgressTable(folder / PROGRESS, trainer.frames)
+    frames, trained_s = trainer.frames, trainer.trained_s
+    try:
+        train(
+            trainer,
+            folder,
+            total_frames=config["total_frames"],
+            recorder=recorder,
+            logger=logger,
+            table=table,
+            checkpoint_every_s=config["checkpoint_every_s"],
+        )
+    finally:
+        logger.close()
+        if recorder is not None:
+            recorder.close()
+    save_policy(folder, trainer.networks, trainer.env.stages, config)
+    if table.rows:
+        draw_learning_curve(table.rows, folder / "learning_curve.png")
+    own = speeds(trainer.frames - frames, trainer.trained_s - trained_s)
+    summary = {**speeds(trainer.frames, trainer.trained_s), "process": own}
+    finish_run(folder, summary, "train")
+    return summary
+
+
+def speeds(frames: int, wall_s: float) -> dict[str, float | int]:
+    """Frames trained on, the seconds that training them took, and their ratio."""
+    return {
+        "frames": frames,
+        "wall_s": wall_s,
+        "frames_per_s": frames / wall_s if wall_s else math.nan,
+    }
+
+
 def train(
     trainer: Ppo,
     folder: Path,
@@ -67,7 +123,7 @@ def train(
     Errors of the recorder leave a saved checkpoint behind.
     """
     pool = trainer.env.pool
-    saved_at = time.monotonic()
+    saved_at = counted_to = time.monotonic()
     if recorder is not None:
         record_world(recorder, pool, trainer.iteration * trainer.settings.steps)
         trainer.keep_starts()
@@ -92,7 +148,10 @@ def train(
             table.add({"frames": float(trainer.frames), **figures})
             bar.set_postfix_str(_summary(figures), refresh=False)
             bar.update(trainer.batch_frames)
-            if time.monotonic() - saved_at > checkpoint_every_s:
+            now = time.monotonic()
+            trainer.trained_s += now - counted_to
+            counted_to = now
+            if now - saved_at > checkpoint_every_s:
                 save_checkpoint(folder / CHECKPOINT, trainer)
                 saved_at = time.monotonic()
     save_checkpoint(folder / CHECKPOINT, trainer)

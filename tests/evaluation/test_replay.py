@@ -8,7 +8,6 @@ import torch
 from resc import keys
 from resc.errors import ConfigError, RecordingError
 from resc.evaluation.replay import compare, fly_again, parse, put_back, replay
-from resc.launch import quoted_replay
 from resc.learning.assemble import build_trainer
 from resc.learning.ppo import RENEWED
 from resc.learning.progress import CsvLogger, ProgressTable
@@ -122,8 +121,3 @@ def test_the_recorded_scene_is_the_one_that_the_episode_began_in(recording):
 def test_a_location_without_file_or_episode_is_refused(location):
     with pytest.raises(ConfigError, match="expected FILE#EPISODE"):
         parse(location)
-
-
-def test_hydra_gets_the_location_in_quotes():
-    given = ["replay=a/b#3", "replay='a#1'", "seed=1", "replay=a"]
-    assert quoted_replay(given) == ["replay='a/b#3'", "replay='a#1'", "seed=1", "replay=a"]

@@ -11,11 +11,12 @@ from test_ppo import SMALL
 from resc.errors import RecordingError
 from resc.evaluation.replay import fly_again
 from resc.learning.assemble import build_trainer, fly_held_out, resumed
-from resc.learning.checkpoint import CHECKPOINT, CONFIG, load_checkpoint, save_policy
+from resc.learning.checkpoint import load_checkpoint, save_policy
 from resc.learning.progress import CsvLogger, ProgressTable, describe, draw_learning_curve
 from resc.learning.training import train
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import open_recorder
+from resc.run_folder import CHECKPOINT, CONFIG
 
 
 def run(trainer, folder, recorder=None, total_frames=512):
@@ -128,8 +129,7 @@ def test_held_out_flights_are_recorded_whole_and_fly_again(compose, tmp_path):
 def test_resumed_run_takes_the_readers_allowed_targets_not_the_folders(compose, tmp_path):
     stored = compose(*SMALL, "allowed_targets=[os.]")
     OmegaConf.save(stored, tmp_path / CONFIG)
-    config, folder = resumed(compose(*SMALL, f"resume={tmp_path}"), tmp_path / "other")
-    assert folder == tmp_path
+    config = resumed(compose(*SMALL, f"resume={tmp_path}"), [], tmp_path)
     assert config["allowed_targets"] == []
 
 

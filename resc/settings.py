@@ -1,0 +1,88 @@
+"""The settings of a whole run, checked before anything is built: unknown names, impossible numbers.
+
+Parts check their own numbers where they are built (`resc.build`).
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from resc.build import nearest
+from resc.command_line import command
+from resc.errors import ConfigError
+from resc.schema import RunSchema
+
+LARGEST_SEED = 2**63 - 1
+LEAST: dict[str, int] = {
+    "seed": 0,
+    "evaluation_seed": 0,
+    "num_envs": 1,
+    "total_frames": 1,
+    "pool_size": 1,
+    "renew_scenes": 0,
+    "evaluation_episodes": 1,
+    "flights": 1,
+    "scene_files": 0,
+}
+"""Smallest value of each whole number."""
+TASK = ("control_points", "initial_state")
+"""What a task is made of."""
+RESUMABLE = ("total_frames", "threads", "checkpoint_every_s", "allowed_targets")
+"""Settings that a resumed run takes from its command line; all others are the run's own."""
+
+
+def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
+    """Refuses names that no run has, and numbers that no run can have.
+
+    Raises:
+        ConfigError: It names the setting, what it is and what it may be.
+    """
+    known = {field.name for field in fields(schema)}
+    _refuse_unknown(config, known, "")
+    groups = {field.name for field in fields(schema) if field.type == dict[str, Any]}
+    _refuse_unknown(config.get("task") or {}, TASK, "task.")
+    _refuse_unknown(config.get("held_out") or {}, groups, "held_out.")
+    for name, least in LEAST.items():
+        value = config.get(name, least)
+        most = LARGEST_SEED if name.endswith("seed") else math.inf
+        if not least <= value <= most:
+            limit = f"{least} to {most}" if math.isfinite(most) else f"at least {least}"
+            raise ConfigError(f"{name} is {value}; expected {limit}.")
+    if not 0 < config.get("checkpoint_every_s", 1.0) < math.inf:
+        raise ConfigError(
+            f"checkpoint_every_s is {config['checkpoint_every_s']}; expected seconds above zero."
+        )
+    name = config["name"]
+    if not name or name in (".", "..") or not name.isprintable() or "/" in name:
+        raise ConfigError(f"name is {name!r}; expected part of a folder's name, without a slash.")
+
+
+def _refuse_unknown(given: Iterable[str], known: Iterable[str], prefix: str) -> None:
+    for name in given:
+        if name not in known:
+            raise ConfigError(f"{prefix}{name} is no setting.{nearest(name, known)}")
+
+
+def honoured(overrides: Sequence[str], made_with: Sequence[str], folder: Path) -> list[str]:
+    """Names of the settings that the overrides of a resumed run change.
+
+    Overrides that the run was made with change nothing; hydra's own say nothing of the run.
+
+    Raises:
+        ConfigError: An override would change what the run is; all such are named.
+    """
+    keys = {text: text.lstrip("+~").partition("=")[0] for text in overrides}
+    new = {text: key for text, key in keys.items() if text not in made_with and key != "resume"}
+    if foreign := [text for text, key in new.items() if key not in RESUMABLE]:
+        raise ConfigError(
+            f"{', '.join(foreign)}: a resumed run keeps what it was made with, and takes only "
+            f"{', '.join(RESUMABLE)} anew. Go on with: {command('train.py', {'resume': folder})}"
+        )
+    return list(new.values())
+
+
+def listed(value: Any) -> list[str]:  # noqa: ANN401 - as a configuration holds it
+    """A list of names; a single name is a list of one."""
+    return [value] if isinstance(value, str) else [str(name) for name in value]

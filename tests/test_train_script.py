@@ -1,0 +1,234 @@
+"""A run's life as train.py has it: begun once, gone on with as it was, evaluated, counted."""
+
+import json
+import shutil
+
+import pytest
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from test_ppo import SMALL
+
+import train as script
+from resc.errors import ConfigError
+from resc.evaluation.held_out import read_episodes
+from resc.launch import in_its_folder, resumed_sweep
+from resc.learning.assemble import resumed
+from resc.learning.checkpoint import load_policy
+from resc.recording.reader import RolloutLog
+from resc.run_folder import is_finished, summary_of
+from resc.schema import TrainSchema
+from resc.settings import check_settings
+
+BUDGET = 256
+RUN = [
+    *SMALL,
+    f"total_frames={BUDGET}",
+    "evaluation_episodes=4",
+    "logger=csv",
+    "obstacle_observation=none",
+    "termination.time_limit.limit_s=0.5",
+]
+
+
+@pytest.fixture(scope="module")
+def finished(compose, tmp_path_factory):
+    """The folder of a finished run."""
+    folder = tmp_path_factory.mktemp("runs") / "finished"
+    folder.mkdir()
+    script.run(compose(*RUN), folder, RUN)
+    return folder
+
+
+@pytest.fixture
+def own(finished, tmp_path):
+    """A copy of a finished run."""
+    shutil.copytree(finished, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def go_on(compose, folder, *overrides):
+    """Configuration that a run goes on with when the command line says `overrides`."""
+    config = compose("compile=true", f"resume={folder}", *overrides)
+    return resumed(config, [f"resume={folder}", *overrides], folder)
+
+
+def test_run_leaves_what_it_said_and_where_it_is_from(finished):
+    told = (finished / "train.log").read_text().splitlines()
+    assert told[0].startswith("observation")
+    assert told[-1].startswith(("0.0%", "25.0%", "50.0%")), told[-1]
+    origin = json.loads((finished / "origin.json").read_text())
+    assert origin["overrides"] == RUN
+
+
+def test_resumed_run_keeps_its_budget(compose, finished):
+    config = go_on(compose, finished)
+    assert config["total_frames"] == BUDGET
+    stored = OmegaConf.load(finished / "config.yaml")
+    assert {k: v for k, v in config.items() if k != "resume"} == {
+        k: v for k, v in stored.items() if k != "resume"
+    }
+
+
+def test_only_a_larger_budget_is_taken_from_the_command_line(compose, finished):
+    assert go_on(compose, finished, "total_frames=512")["total_frames"] == 512
+    with pytest.raises(ConfigError, match=r"total_frames is 128, but .* was given 256"):
+        go_on(compose, finished, "total_frames=128")
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "reward.progress.weight=9",
+        "seed=5",
+        "num_envs=32",
+        "~reward.field_of_view",
+        "+experiment=quick",
+        "device=cuda",
+        "evaluation_episodes=8",
+        "recorder=none",
+    ],
+)
+def test_resuming_refuses_what_it_cannot_honour_by_name(compose, finished, override):
+    own = [f"resume={finished}", override, "threads=1"]
+    with pytest.raises(ConfigError) as raised:
+        resumed(compose(f"resume={finished}"), own, finished)
+    assert str(raised.value).startswith(f"{override}: a resumed run keeps")
+    assert "total_frames" in str(raised.value)
+
+
+def test_overrides_that_the_run_was_made_with_may_be_repeated(compose, finished):
+    assert go_on(compose, finished, *RUN)["seed"] == 0
+
+
+def test_threads_and_checkpoints_of_a_resumed_run_are_those_of_the_command_line(compose, finished):
+    config = go_on(compose, finished, "checkpoint_every_s=5", "threads=2")
+    assert (config["checkpoint_every_s"], config["threads"]) == (5.0, 2)
+
+
+def test_run_of_a_sweep_is_lengthened_by_no_command(compose, own):
+    (own / "job.json").write_text('{"overrides": []}')
+    run = own.rename(own.parent / "1")
+    assert go_on(compose, run)["total_frames"] == BUDGET
+    with pytest.raises(ConfigError, match=r"1 is a run of the sweep .* whose runs all take 256"):
+        go_on(compose, run, "total_frames=512")
+
+
+def test_lengthened_run_puts_the_held_out_flights_of_the_earlier_policy_aside(compose, own):
+    earlier = RolloutLog(own / "held_out").metadata["policy_sha256"]
+    table = read_episodes(own / "evaluation.csv", 4)
+    script.run(go_on(compose, own, "total_frames=512"), own, [])
+    assert is_finished(own)
+    later = RolloutLog(own / "held_out")
+    assert len(later) == 4
+    assert later.metadata["policy_sha256"] != earlier
+    assert RolloutLog(own / f"held_out_{BUDGET}").metadata["policy_sha256"] == earlier
+    assert (read_episodes(own / f"held_out_{BUDGET}" / "evaluation.csv", 4)["scene"]).tolist() == (
+        table["scene"].tolist()
+    )
+
+
+def test_summary_counts_all_processes_and_this_one(compose, own):
+    before = summary_of(own)
+    script.run(go_on(compose, own, "total_frames=512"), own, [])
+    after = summary_of(own)
+    assert after["frames"] == 512
+    assert after["process"]["frames"] == 512 - BUDGET
+    assert after["wall_s"] == pytest.approx(before["wall_s"] + after["process"]["wall_s"])
+    for part in (after, after["process"]):
+        assert part["frames_per_s"] == pytest.approx(part["frames"] / part["wall_s"])
+
+
+def test_run_killed_before_its_first_checkpoint_begins_again(compose, own):
+    whole = (own / "policy.pt").read_bytes()
+    for name in ("checkpoint.pt", "summary.json", "evaluation.csv", "policy.pt"):
+        (own / name).unlink()
+    script.run(go_on(compose, own), own, [])
+    assert (own / "policy.pt").read_bytes() == whole
+    assert len((own / "progress.csv").read_text().splitlines()) == 3
+
+
+def test_failing_held_out_flights_leave_the_policy_and_say_how_to_fly_them(
+    compose, tmp_path, monkeypatch
+):
+    def fail(*_):
+        raise ConfigError("no")
+
+    monkeypatch.setattr(script, "fly_held_out", fail)
+    with pytest.raises(ConfigError) as raised:
+        script.run(compose(*RUN), tmp_path, RUN)
+    (note,) = raised.value.__notes__
+    assert note.endswith(f"python train.py resume={tmp_path}")
+    assert load_policy(tmp_path).layout
+
+
+@pytest.mark.parametrize(
+    ("override", "sentence"),
+    [
+        ("~termination.time_limit", "no time limit"),
+        ("+held_out.metric.energy.foo=1", "held_out: metric.energy.foo is not an argument"),
+        (
+            "+held_out.observation.velocity.scale=[1,1,1]",
+            "held_out: observation.velocity has no _target_",
+        ),
+        ("evaluation_episodes=0", "evaluation_episodes is 0; expected at least 1"),
+        ("evaluation_episodes=-3", "evaluation_episodes is -3"),
+    ],
+)
+def test_held_out_flights_that_cannot_be_are_refused_before_training(
+    compose, tmp_path, override, sentence
+):
+    with pytest.raises((ConfigError, HydraException), match=sentence):
+        script.run(compose(*RUN, override), tmp_path, RUN)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("override", "sentence"),
+    [
+        ("total_frames=0", "total_frames is 0; expected at least 1."),
+        ("total_frames=-5", "total_frames is -5"),
+        ("seed=-1", "seed is -1; expected 0 to"),
+        ("evaluation_seed=-1", "evaluation_seed is -1"),
+        ("num_envs=0", "num_envs is 0"),
+        ("checkpoint_every_s=0", "checkpoint_every_s is 0.0"),
+        ("checkpoint_every_s=nan", "checkpoint_every_s is nan"),
+        ("+foo=1", "foo is no setting."),
+        ("++num_env=64", "num_env is no setting. Did you mean 'num_envs'?"),
+        ("+task.foo=1", "task.foo is no setting."),
+        ("+held_out.metrics={}", "held_out.metrics is no setting. Did you mean 'metric'?"),
+        ("name=''", "name is ''"),
+        ("name='../x'", "name is '../x'"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(compose, override, sentence):
+    with pytest.raises(ConfigError) as raised:
+        check_settings(compose(override), TrainSchema)
+    assert str(raised.value).startswith(sentence)
+
+
+def test_resume_keeps_hydra_in_the_folder_of_the_run(finished, tmp_path, monkeypatch):
+    arguments = in_its_folder([f"resume={finished}", "threads=2"])
+    assert arguments == ["threads=2", f"resume={finished}", f"hydra.run.dir={finished}"]
+    with pytest.raises(ConfigError, match="holds no run and no sweep"):
+        in_its_folder([f"resume={tmp_path}"])
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "latest_train").symlink_to(finished)
+    monkeypatch.chdir(tmp_path)
+    assert in_its_folder(["resume=latest"]) == [f"resume={finished}", f"hydra.run.dir={finished}"]
+
+
+def test_latest_run_of_a_sweep_resumes_the_sweep(tmp_path, monkeypatch):
+    run = tmp_path / "runs" / "sweep" / "1"
+    run.mkdir(parents=True)
+    (run / "job.json").write_text('{"overrides": []}')
+    (run.parent / "multirun.yaml").write_text("hydra: {overrides: {hydra: [], task: [seed=0]}}")
+    (tmp_path / "runs" / "latest_train").symlink_to("sweep/1")
+    monkeypatch.chdir(tmp_path)
+    again = resumed_sweep(in_its_folder(["resume=latest"]))
+    assert again == ["-m", "seed=0", f"hydra.sweep.dir={run.parent}"]
+
+
+def test_folder_of_an_evaluation_is_not_resumed(compose, tmp_path):
+    (tmp_path / "config.yaml").write_text("flights: 3")
+    with pytest.raises(ConfigError, match="holds no training run"):
+        resumed(compose(f"resume={tmp_path}"), [], tmp_path)
