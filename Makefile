@@ -23,7 +23,7 @@ train: $(STAMP) ## Train a policy.
 
 reproduce: $(STAMP) ## Train the default policy anew and compare it with the stored runs.
 	$(PY) train.py name=reproduce $(ARGS)
-	$(PY) -m resc.evaluation.reproduction runs/latest
+	$(PY) -m resc.evaluation.reproduction runs/latest_train
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
 	$(PY) -m pytest -n auto --maxprocesses 4 $(ARGS)

@@ -55,7 +55,7 @@ def policy_folder(text: str) -> Path:
     One that the working directory lacks may be RESC's own: policies/obstacles.
     """
     if text == LATEST:
-        return latest("train", "policy")
+        return latest("policy", "train")
     ours = Path(__file__).parent / text
     return ours if ours.exists() and not Path(text).exists() else Path(text)
 

@@ -87,7 +87,8 @@ def in_its_folder(arguments: list[str]) -> list[str]:
     text = _text_of(chosen[-1]) if chosen else "null"
     if text in ("null", "None"):
         return arguments
-    folder = newest() if text == LATEST else Path(text).resolve()
+    folder = latest("resume", "train", "sweep") if text == LATEST else Path(text).resolve()
+    folder = (sweep_of(folder) or folder) if text == LATEST else folder
     if not any((folder / name).exists() for name in (CONFIG, SWEEP)):
         raise ConfigError(
             f"resume is '{text}', which holds no run and no sweep; give the folder of an "
@@ -98,16 +99,6 @@ def in_its_folder(arguments: list[str]) -> list[str]:
     rest = [text for text in arguments if text not in chosen]
     own = [] if (folder / SWEEP).exists() else [override("hydra.run.dir", folder)]
     return [*rest, override("resume", folder), *own]
-
-
-def newest() -> Path:
-    """The run trained last below the working directory, or the sweep that it is of.
-
-    Raises:
-        ConfigError: There is none.
-    """
-    folder = latest("train", "resume")
-    return sweep_of(folder) or folder
 
 
 def resumed_sweep(arguments: list[str]) -> list[str]:

@@ -120,18 +120,19 @@ def link_latest(folder: Path, kind: Kind) -> None:
         temporary.replace(link)  # at once, so that a reader always finds a run
 
 
-def latest(kind: Kind, setting: str) -> Path:
-    """The folder of the newest run of a kind below the working directory's `runs`.
+def latest(setting: str, *kinds: Kind) -> Path:
+    """The folder of the newest run of some kinds below the working directory's `runs`.
 
     Raises:
         ConfigError: There is none; the `setting` that asked for it is named.
     """
-    link = Path(RUNS) / f"{LATEST}_{kind}"
-    if not link.exists():
+    links = [Path(RUNS) / f"{LATEST}_{kind}" for kind in kinds]
+    found = [link for link in links if link.exists()]
+    if not found:
         raise ConfigError(
-            f"{setting}={LATEST}, but there is no {link}; name the folder, or run one first."
+            f"{setting}={LATEST}, but there is no {links[0]}; name the folder, or run one first."
         )
-    return link.resolve()
+    return max(found, key=lambda link: link.lstat().st_mtime_ns).resolve()
 
 
 def _locked(file: IO[str], path: Path) -> bool:

@@ -100,5 +100,5 @@ def test_the_commands_of_the_page_run(package):
     shown = python(*TRAIN[1:], *small, f"hydra.run.dir={run}")
     assert set(TABLE.splitlines()) <= set(shown.splitlines())
     assert "reward/tilt" in (run / "progress.csv").read_text()
-    flown = [argument.replace("runs/latest", str(run)) for argument in EVALUATE[2:]]
+    flown = [argument.replace("=latest", f"={run}") for argument in EVALUATE[2:]]
     assert "flights" in python(EVALUATE[1], *flown, "flights=1", "scenes=[free]")

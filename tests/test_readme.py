@@ -1,13 +1,25 @@
 """The README shows what is there: its table of parts is conf/, its example is a reward."""
 
 import re
+from itertools import permutations
 from pathlib import Path
 
+import pytest
 import torch
 from torch.testing import assert_close
 
+from resc.run_folder import link_latest
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *ROOT.glob("*.py")]
+LEFT = {
+    "train": ("rollouts", "held_out", "policy.pt"),
+    "sweep": ("multirun.yaml",),
+    "evaluation": ("rollouts", "scenes"),
+    "replay": ("replay.md",),
+}
+"""What a run of each kind leaves."""
 NO_PARTS = {"env", "experiment", "hydra"}
 
 
@@ -27,3 +39,24 @@ def test_example_reward_falls_with_the_difference_in_height():
     assert_close(
         namespace["Height"](weight=1.0).compute(position, target), torch.tensor([[0.0], [-2.0]])
     )
+
+
+@pytest.mark.parametrize("order", [*permutations(LEFT)], ids="-".join)
+def test_paths_of_shown_commands_are_there_whatever_was_run_in_between(order, tmp_path):
+    for kind in order:
+        folder = tmp_path / "runs" / "2025-11-22" / kind
+        for name in LEFT[kind]:
+            (folder / name).mkdir(parents=True)
+        link_latest(folder, kind)
+    shown = {path for page in PAGES for path in re.findall(r"runs/latest[\w/.]*", page.read_text())}
+    assert {"runs/latest_train", "runs/latest_evaluation/scenes"} < shown
+    for path in shown - {"runs/latest"}:
+        assert (tmp_path / path.rstrip(".")).exists(), path
+
+
+def test_no_shown_command_depends_on_what_was_run_last():
+    """`runs/latest` alone may be an evaluation, a training or a sweep."""
+    for page in PAGES:
+        commands = re.findall(r"^.*(?:python |resc-log ).*$", page.read_text(), re.MULTILINE)
+        bare = [line for line in commands if re.search(r"runs/latest(?![_\w])", line)]
+        assert not bare, page.name

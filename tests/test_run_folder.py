@@ -69,14 +69,15 @@ def test_each_kind_of_run_has_a_link_that_others_leave_alone(tmp_path, monkeypat
         folders[kind].mkdir(parents=True)
         link_latest(folders[kind], kind)
     for kind, folder in folders.items():
-        assert latest(kind, "policy") == folder
+        assert latest("policy", kind) == folder
     assert (tmp_path / "runs" / "latest").resolve() == folders["replay"]
+    assert latest("resume", "train", "sweep") == folders["sweep"]
 
 
 def test_latest_without_a_run_is_one_sentence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match="policy=latest, but there is no runs/latest_train"):
-        latest("train", "policy")
+        latest("policy", "train")
 
 
 def ask_for(wanted, answers):

@@ -1,6 +1,6 @@
 """Whether a run of the default training does as well as the stored runs.
 
-    python -m resc.evaluation.reproduction runs/latest
+    python -m resc.evaluation.reproduction runs/latest_train
 
 `docs/results/default_training.json` holds the success rates of the default training, one for each
 training seed. Exit status 0 if the run's rate lies in their prediction interval.
