@@ -26,11 +26,11 @@ def untrained(stored, tmp_path_factory):
     return folder
 
 
-def evaluate(folder, *overrides):
+def evaluate(folder, *overrides, where=ROOT):
     command = [sys.executable, ROOT / "evaluate.py", f"hydra.run.dir={folder}", *overrides]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+        command, cwd=where, env=environment, capture_output=True, text=True, check=False
     )
     return done.returncode, done.stdout, done.stderr
 
@@ -41,6 +41,19 @@ def test_unknown_scene_is_answered_with_the_nearest(tmp_path):
     assert said.startswith("error: Unknown scene 'paper1_map1'. Did you mean 'paper1_map11'?")
     assert "Traceback" not in said
     assert said.count("\n") == 1
+
+
+def test_scene_of_a_folder_of_ones_own_is_flown_from_elsewhere_by_the_shipped_policy(tmp_path):
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "mine.yaml").write_text(
+        (ROOT / "conf" / "scene" / "paper4_map15.yaml").read_text()
+    )
+    search = f"hydra.searchpath=[file://{tmp_path}]"
+    small = ["scenes=mine", "flights=1", "recorder=none"]
+    code, told, said = evaluate(tmp_path / "out", search, *small, where=tmp_path)
+    assert code == 0, said
+    assert "mine" in told.splitlines()[0]
+    assert told.rstrip() in (tmp_path / "out" / "evaluate.log").read_text()
 
 
 @pytest.mark.slow
