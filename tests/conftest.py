@@ -17,10 +17,19 @@ from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 
 CONF = Path(__file__).parents[1] / "conf"
+SLOW_S = 900
+"""After which a slow test counts as hanging; pyproject.toml says it of the others."""
 
 torch.set_num_threads(
     1
 )  # the tests share few cores; threads of torch would only wait for each other
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Gives slow tests their time."""
+    for item in items:
+        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(SLOW_S))
 
 
 @pytest.fixture(scope="session")
