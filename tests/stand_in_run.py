@@ -28,7 +28,10 @@ if arguments.get("weight") == "high":
 if arguments.get("killed"):
     signal.raise_signal(signal.SIGKILL)
 (folder / "ready").touch()
+deadline = time.monotonic() + 60
 while arguments.get("wait") and "resume" not in arguments:
     time.sleep(0.02)
+    if time.monotonic() > deadline:
+        sys.exit("error: nobody stopped this run")
 (folder / "evaluation.csv").touch()
 (folder / "summary.json").write_text(json.dumps({"episodes": 8, "success_rate": 0.5}))

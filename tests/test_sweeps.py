@@ -83,29 +83,31 @@ def test_failed_run_is_tried_again_and_then_shows_no_failure(tmp_path):
 
 def test_stopped_sweep_goes_on_from_the_checkpoint_and_makes_the_rest(tmp_path):
     jobs = [job(tmp_path, number, "wait=1") for number in range(2)]
-
-    def stop():
-        while not (tmp_path / "0" / "ready").exists():
-            time.sleep(0.02)
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    threading.Thread(target=stop).start()
+    stop_when_ready(signal.SIGTERM, tmp_path / "0")
     outcomes = run_sweep(jobs, Serial())
     assert statuses(outcomes) == ["stopped", "stopped"]
     assert not (tmp_path / "1" / "starts.txt").exists()
     with pytest.raises(SweepError, match=r"2 of 2 runs are not finished \(stopped: 0, 1\)\. Go on"):
         require_success(outcomes, tmp_path)
-    threading.Thread(target=stop_when_ready, args=(tmp_path / "1",)).start()
+    stop_when_ready(signal.SIGTERM, tmp_path / "1")
     assert statuses(run_sweep(jobs, Serial())) == ["finished", "stopped"]
     assert starts(tmp_path, 0) == ["fresh", "resumed"]
     assert statuses(run_sweep(jobs, Serial())) == ["finished", "finished"]
     assert starts(tmp_path, 0) == ["fresh", "resumed"]
 
 
-def stop_when_ready(folder):
-    while not (folder / "ready").exists():
-        time.sleep(0.02)
-    os.kill(os.getpid(), signal.SIGTERM)
+def stop_when_ready(number, *folders):
+    """Sends this process a signal as soon as a run is under way in each of the folders."""
+
+    def stop():
+        deadline = time.monotonic() + 60
+        while not all((folder / "ready").exists() for folder in folders):
+            if time.monotonic() > deadline:
+                return
+            time.sleep(0.02)
+        os.kill(os.getpid(), number)
+
+    threading.Thread(target=stop, daemon=True).start()
 
 
 def test_run_that_another_process_makes_is_left_to_it(tmp_path):
@@ -136,13 +138,7 @@ def test_study_that_changed_is_refused_before_anything_runs(tmp_path):
 def test_parallel_runs_are_under_way_together(tmp_path):
     pytest.importorskip("joblib")
     jobs = [job(tmp_path, number, "wait=1") for number in range(2)]
-
-    def stop():
-        while not all((one.folder / "ready").exists() for one in jobs):
-            time.sleep(0.02)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    threading.Thread(target=stop).start()
+    stop_when_ready(signal.SIGINT, *(one.folder for one in jobs))
     assert statuses(run_sweep(jobs, Joblib(n_jobs=2))) == ["stopped", "stopped"]
     assert statuses(run_sweep(jobs, Joblib(n_jobs=2))) == ["finished", "finished"]
     assert [starts(tmp_path, number) for number in range(2)] == [["fresh", "resumed"]] * 2
@@ -219,7 +215,7 @@ def train(*arguments):
     command = [sys.executable, ROOT / "train.py", *arguments]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     return subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600
     )
 
 

@@ -236,10 +236,12 @@ def small_disk(tmp_path):
     folder = tmp_path / "disk"
     folder.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", folder]
-    if not shutil.which("mount") or subprocess.run(command, capture_output=True).returncode != 0:
+    if not shutil.which("mount"):
+        pytest.skip("no disk can be mounted here")
+    if subprocess.run(command, capture_output=True, timeout=10).returncode != 0:
         pytest.skip("no disk can be mounted here")
     yield folder
-    subprocess.run(["umount", folder], check=True)
+    subprocess.run(["umount", folder], check=True, timeout=10)
 
 
 def test_a_really_full_disk_leaves_what_was_written(small_disk):
@@ -252,7 +254,7 @@ def test_a_really_full_disk_leaves_what_was_written(small_disk):
 
 
 def test_a_really_read_only_folder_is_an_error_at_once(small_disk):
-    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True, timeout=10)
     with pytest.raises(RecordingError, match="failed: Read-only file system; the 0 batches"):
         recorder(small_disk / "rollouts")
 
@@ -390,11 +392,15 @@ CHILD = """
 import os, resource, signal, sys
 import test_recorder as t
 
+def say(*words):
+    # One write a line: of two, such as print's without a buffer, a kill may leave the first alone.
+    os.write(1, (" ".join(map(str, words)) + "\\n").encode())
+
 def write(directory, **options):
     with t.recorder(directory, 64, **options) as target:
         for number in range(100_000):
             target.put(t.rollout(number, 64, 64), number * 64)
-            print(target.batches_written, flush=True)
+            say(target.batches_written)
 
 def rotate(directory):
     write(directory, rotate_mb=0.2)
@@ -407,7 +413,7 @@ def terminate(directory):
             while True:
                 target.put(t.rollout(number, 64, 64), number * 64)
                 number += 1
-                print(number, flush=True)
+                say(number)
     except SystemExit:
         os._exit(0)
 
@@ -424,19 +430,19 @@ def limit(directory):
         for number in range(1000):
             target.put(t.rollout(number, 64, 64), number * 64)
     except t.RecordingError as error:
-        print(target.batches_written, error, flush=True)
+        say(target.batches_written, error)
     target.close()
     os._exit(0)
 
 # One process pays for the imports and forks the writers.
 for line in sys.stdin:
-    mode, directory = line.split()
+    mode, _, directory = line.rstrip().partition(" ")
     pid = os.fork()
     if pid == 0:
         globals()[mode](t.Path(directory))
-    print("pid", pid, flush=True)
-    os.waitpid(pid, 0)
-    print("end", flush=True)
+        os._exit(0)
+    say("pid", pid)
+    say("end", os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
 os._exit(0)
 """
 
@@ -444,48 +450,67 @@ os._exit(0)
 class Children:
     """Writers in processes of their own."""
 
-    def __init__(self):
+    def __init__(self, errors):
         paths = [str(Path(__file__).parent), str(Path(resc.__file__).parents[1])]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", CHILD],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=environment,
-            text=True,
-        )
+        self.errors = errors
+        with errors.open("w") as file:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", CHILD],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=file,
+                env=environment,
+                text=True,
+                start_new_session=True,  # so that the writers can be ended with it
+            )
 
     def start(self, mode, directory):
         """Start a writer; its process number."""
         self.process.stdin.write(f"{mode} {directory}\n")
         self.process.stdin.flush()
-        pid, self.lines = None, []
-        while pid is None:
-            line = self.line()
-            pid = int(line.split()[1]) if line.startswith("pid") else None
-        return pid
+        self.lines = []
+        while True:
+            line = self.read()
+            if line.startswith("pid"):
+                return int(line.split()[1])
+            self.lines.append(line)
 
     def line(self):
-        text = self.process.stdout.readline()
-        assert text, "the child died"
-        if not text.startswith(("pid", "end")):
-            self.lines.append(text.strip())
-        return text
+        """Wait for what the writer says next; its end is an error."""
+        line = self.read()
+        assert not line.startswith("end"), f"it ended early ({line}): {self.errors.read_text()}"
+        self.lines.append(line)
 
-    def finish(self):
-        """Everything the writer printed until it ended."""
-        while not self.line().startswith("end"):
-            pass
+    def finish(self, code=0):
+        """Everything the writer said until it ended, as expected."""
+        while not (line := self.read()).startswith("end"):
+            self.lines.append(line)
+        assert line == f"end {code}", self.errors.read_text()
         return self.lines
+
+    def read(self):
+        line = self.process.stdout.readline()
+        assert line.endswith("\n"), f"it ended early: {self.errors.read_text()}"
+        return line.strip()
+
+    def close(self):
+        """End the process, and any writer that a failed test has left."""
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.communicate(timeout=10)
 
 
 @pytest.fixture(scope="module")
-def children():
-    started = Children()
+def children(tmp_path_factory):
+    started = Children(tmp_path_factory.mktemp("children") / "errors.txt")
     yield started
-    started.process.stdin.close()
-    started.process.stdout.close()
-    started.process.wait()
+    started.close()
+
+
+def test_a_writer_that_ends_early_is_an_error_with_its_last_words(tmp_path, children):
+    children.start("misspelt", tmp_path)
+    with pytest.raises(AssertionError, match=r"(?s)ended early .end 1.: .*KeyError: 'misspelt'"):
+        children.line()
 
 
 def kill_and_read(directory, children, seed):
@@ -496,7 +521,7 @@ def kill_and_read(directory, children, seed):
         children.line()
     time.sleep(rng.uniform(0, 0.01))
     os.kill(pid, signal.SIGKILL)
-    flushed = int(children.finish()[-1])
+    flushed = int(children.finish(-signal.SIGKILL)[-1])
     log = RolloutLog(directory)
     assert flushed <= log.num_batches <= flushed + 4
     assert_holds(log, log.num_batches, 64, 64)
