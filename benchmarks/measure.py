@@ -3,6 +3,7 @@
 import json
 import os
 import platform
+import select
 import statistics
 import subprocess
 import sys
@@ -24,6 +25,8 @@ TASKS = {"kinematics": ["+experiment=obstacle_free"], "kgp_esdf": []}
 """Overrides of the tasks measured: without obstacles, with the published observation of them."""
 DRAWN_STEPS = 64
 """Steps of random actions drawn beforehand, then used over and over."""
+ANSWER_S = 900
+"""How long a job may take to get ready (it compiles) or for a block before it counts as hung."""
 BUSY_BELOW = 0.9
 """Share of its threads a process must have got for its figures to count as undisturbed."""
 
@@ -108,15 +111,21 @@ class Job:
 
     def rate(self) -> float:
         """The steps per second of the block started last."""
+        told, _, _ = select.select([self.process.stdout], [], [], ANSWER_S)
+        if not told:
+            self.process.kill()
+            raise SystemExit(f"A job has not answered for {ANSWER_S} s; is the machine overloaded?")
         line = self.process.stdout.readline()
-        if not line:
+        if not line.endswith("\n"):
             raise SystemExit("A job ended early; its message is above.")
         return float(line)
 
     def close(self) -> None:
-        """Ends the process."""
-        self.process.stdin.close()
-        self.process.wait()
+        """Ends the process, which does so at the end of its input unless it hangs."""
+        try:
+            self.process.communicate(timeout=ANSWER_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
 
 
 def median_rate(run: Callable[[int], int], effort: Effort, *, threads: int) -> Rate:

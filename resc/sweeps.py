@@ -248,8 +248,9 @@ def require_same(job: Job) -> None:
 def _git(*arguments: str) -> str:
     """What git says about the source; nothing without git or a repository."""
     command = ["git", "-C", str(SCRIPT.parent), *arguments]
-    with contextlib.suppress(OSError):
-        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
+        return done.stdout.strip()
     return ""
 
 

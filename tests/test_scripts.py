@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 def start(script, *overrides):
     command = [sys.executable, ROOT / script, *overrides]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=100)
 
 
 @pytest.mark.parametrize(

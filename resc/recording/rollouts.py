@@ -146,7 +146,7 @@ def provenance() -> dict[str, str]:
 def _git(*arguments: str) -> str:
     command: list[Any] = ["git", "-C", Path(__file__).parent, *arguments]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    except FileNotFoundError:  # there is no git
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
+    except (FileNotFoundError, subprocess.TimeoutExpired):  # there is no git, or no quick one
         return ""
     return done.stdout.strip()

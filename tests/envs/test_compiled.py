@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 def run(what):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, SCRIPT, what], env=environment, capture_output=True, text=True, check=False
+        [sys.executable, SCRIPT, what], env=environment, capture_output=True, text=True, timeout=600
     )
     assert done.returncode == 0, done.stderr[-4000:]
 

@@ -30,7 +30,7 @@ def evaluate(folder, *overrides, where=ROOT):
     command = [sys.executable, ROOT / "evaluate.py", f"hydra.run.dir={folder}", *overrides]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
-        command, cwd=where, env=environment, capture_output=True, text=True, check=False
+        command, cwd=where, env=environment, capture_output=True, text=True, timeout=100
     )
     return done.returncode, done.stdout, done.stderr
 

@@ -200,11 +200,15 @@ def numbers_in(message):
 def test_node_lists_the_same_messages_and_as_many_numbers(recorded):
     wanted = "for (const p of ['@mcap/core', '@mcap/support', 'protobufjs']) require(p)"
     node = shutil.which("node")
-    if node is None or subprocess.run([node, "-e", wanted], capture_output=True).returncode != 0:
+    if (
+        node is None
+        or subprocess.run([node, "-e", wanted], capture_output=True, timeout=60).returncode
+    ):
         pytest.skip("node or its packages are not installed; make readers does it")
     path, _ = recorded
     script = Path(__file__).with_name("list_messages.cjs")
-    done = subprocess.run([node, script, path], capture_output=True, text=True, check=True)
+    command = [node, script, path]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     expected = {
         topic: {
             "messages": count,
@@ -222,7 +226,8 @@ def test_rerun_has_nothing_to_complain_about_and_loads_every_message(recorded, t
 
     def rerun(*arguments):
         command = [Path(sys.executable).with_name("rerun"), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+        return done.stdout
 
     fine = re.findall(r"^ok +\d+ +\d+ +(/\w+) +—$", rerun("mcap", "check", path), re.MULTILINE)
     assert fine == list(MESSAGES)

@@ -42,7 +42,7 @@ def chunks(path):
 
 def rerun(*arguments):
     program = Path(sys.executable).with_name("rerun")
-    return subprocess.run([program, *arguments], capture_output=True, text=True, check=False)
+    return subprocess.run([program, *arguments], capture_output=True, text=True, timeout=60)
 
 
 def test_rerun_verifies_its_recording_and_the_scene_file(log, path, tmp_path):
