@@ -1,6 +1,7 @@
 """Starting a Hydra script: a wrong override gets one sentence with the nearest right name."""
 
 import contextlib
+import logging
 import os
 import re
 import signal
@@ -12,6 +13,7 @@ from typing import cast
 from hydra import compose, initialize_config_dir
 from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
+from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -32,6 +34,8 @@ SWEEP = "multirun.yaml"
 PATHS = ("resume", "policy", "replay")
 """Settings whose value is a path, typed as it is."""
 MULTIRUN = ("-m", "--multirun")
+SHOWING = ("help", "hydra_help", "cfg", "info", "shell_completion")
+"""Options of Hydra with which nothing is run."""
 MODE = ("hydra.mode", "hydra.sweep.dir")
 
 
@@ -48,6 +52,7 @@ def launch(main: Callable[[], None], config_name: str) -> None:
     with answering():
         try:
             sys.argv[1:] = resumed_sweep(in_its_folder(quoted_paths(sys.argv[1:])))
+            show_quietly()
             main()
         except HydraException as error:
             raise ConfigError(explain(error, config_name)) from None
@@ -65,6 +70,10 @@ def answering() -> Iterator[None]:
     """
     try:
         yield
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader of the output, such as head, has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(128 + signal.SIGPIPE)
     except (RescError, OSError) as error:
         told = str(error)
         if isinstance(error, OSError) and error.filename is not None:
@@ -99,6 +108,18 @@ def in_its_folder(arguments: list[str]) -> list[str]:
     rest = [text for text in arguments if text not in chosen]
     own = [] if (folder / SWEEP).exists() else [override("hydra.run.dir", folder)]
     return [*rest, override("resume", folder), *own]
+
+
+def show_quietly() -> None:
+    """Lets what only shows something end quietly where its reader, such as head, has left.
+
+    By the signal, as other programs do: Hydra shows with the help of `logging`, which reports every
+    line that it cannot write. A run is ended by the error, which unwinds.
+    """
+    arguments = get_args_parser().parse_args()
+    if any(vars(arguments)[name] for name in SHOWING):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    logging.raiseExceptions = False  # a line of the log that cannot be written ends nothing
 
 
 def resumed_sweep(arguments: list[str]) -> list[str]:

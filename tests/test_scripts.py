@@ -1,5 +1,7 @@
 """What a user of the scripts is told when the command line is wrong."""
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +9,23 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+
+
+def unread(*arguments):
+    """What is said on standard error where nobody reads standard output; the status."""
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, *arguments]
+    done = subprocess.run(
+        command, stdout=write, stderr=subprocess.PIPE, cwd=ROOT, text=True, timeout=100
+    )
+    os.close(write)
+    return done.stderr, done.returncode
+
+
+def test_what_shows_something_ends_quietly_where_its_reader_has_left():
+    assert unread("train.py", "--info", "defaults") == ("", -signal.SIGPIPE)
+    assert unread("-m", "resc.recording", "--help")[0] == ""
 
 
 def start(script, *overrides):
