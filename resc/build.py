@@ -7,10 +7,9 @@ no foreign code.
 import difflib
 import importlib
 import inspect
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -20,6 +19,7 @@ from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError
 from resc.math.sampling import generator_for
+from resc.quantities import checked
 from resc.scenes.layout import Layout
 from resc.scenes.pool import ScenePool
 from resc.term import Curriculum, Observation, Reward, Term
@@ -68,7 +68,7 @@ def build(
             raise ConfigError(
                 f"{path}.{name} is not an argument of {target.__name__}.{nearest(name, known)}"
             )
-        arguments[name] = _checked(f"{path}.{name}", value, parameters[name].annotation)
+        arguments[name] = checked(f"{path}.{name}", value, parameters[name].annotation)
     missing = [
         n for n in known if parameters[n].default is inspect.Parameter.empty and n not in arguments
     ]
@@ -288,28 +288,3 @@ def _public(module: Any) -> list[str]:
         for name, value in vars(module).items()
         if inspect.isclass(value) and value.__module__ == module.__name__ and name[0] != "_"
     ]
-
-
-def _checked(path: str, value: Any, annotation: Any) -> Any:
-    """The value as its annotation wants it: a string where a number is expected is a typo."""
-    if annotation in (float, int):
-        wanted = (int, float) if annotation is float else (int,)
-        if isinstance(value, bool) or not isinstance(value, wanted):
-            expected = "a number" if annotation is float else "a whole number"
-            raise ConfigError(f"{path} is {value!r}; expected {expected}.")
-        if not math.isfinite(value):
-            raise ConfigError(f"{path} is {value}; expected a finite number.")
-        return annotation(value)
-    if annotation == (str | None) and not isinstance(value, str | None):
-        raise ConfigError(f"{path} is {value!r}; expected a name.")
-    if annotation is bool and not isinstance(value, bool):
-        raise ConfigError(f"{path} is {value!r}; expected true or false.")
-    if get_origin(annotation) is Sequence:
-        if not isinstance(value, list | tuple):
-            raise ConfigError(f"{path} is {value!r}; expected a list.")
-        (item,) = get_args(annotation)
-        return [_checked(f"{path}[{number}]", part, item) for number, part in enumerate(value)]
-    for number in (float, int):
-        if number in get_args(annotation) and value is not None:
-            return _checked(path, value, number)
-    return value

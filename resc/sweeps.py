@@ -17,13 +17,14 @@ from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 from resc.command_line import command, shell
 from resc.errors import ConfigError, SweepError
 from resc.evaluation.ablation import write_report
 from resc.evaluation.study import differing, overrides_of
 from resc.jobs import SCRIPT, Job, Outcome, Runner, Status, run_alone
+from resc.quantities import Count, Positive, Within
 from resc.run_folder import FAILURE, JOB, ORIGIN
 
 POLL_S = 0.5
@@ -83,10 +84,10 @@ class Slurm:
         *,
         cluster: str,
         folder: str,
-        timeout_min: int,
-        cpus_per_task: int,
-        mem_gb: float,
-        array_parallelism: int,
+        timeout_min: Annotated[int, Within(1.0)],
+        cpus_per_task: Count,
+        mem_gb: Positive,
+        array_parallelism: Count,
         partition: str | None = None,
     ) -> None:
         if cluster not in ("slurm", "local"):
@@ -135,7 +136,11 @@ class Ray:
     """
 
     def __init__(
-        self, *, address: str | None = None, num_cpus: float = 1, cluster_cpus: int | None = None
+        self,
+        *,
+        address: str | None = None,
+        num_cpus: Positive = 1,
+        cluster_cpus: Count | None = None,
     ) -> None:
         self.address, self.num_cpus, self.cluster_cpus = address, num_cpus, cluster_cpus
 

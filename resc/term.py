@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypedDict
+from typing import Annotated, Any, ClassVar, TypedDict
 
 import torch
 from tensordict import TensorDictBase
@@ -13,6 +13,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
 from resc.math.sampling import gaussian
+from resc.quantities import Count, NotNegative, Number, Positive, Within
 
 FRAMES = ("world", "heading")
 
@@ -30,11 +31,11 @@ class Context:
         history: Steps that an observation shows when it does not say itself.
     """
 
-    dt_s: float
-    resolution_m: float
+    dt_s: Annotated[float, Within(0.0, 1.0, above=True)]
+    resolution_m: Annotated[float, Within(0.001, 10.0)]
     vehicle: Any
     observation_frame: str = "world"
-    history: int = 1
+    history: Count = 1
 
     def __post_init__(self) -> None:
         for name in ("dt_s", "resolution_m"):
@@ -126,10 +127,10 @@ class Sensor(Term):
 class ObservationOptions(TypedDict, total=False):
     """The arguments of `Observation`, which an observation with its own takes as `**options`."""
 
-    scale: float
-    noise: float
-    clip: float | None
-    history: int | None
+    scale: Number
+    noise: NotNegative
+    clip: Positive | None
+    history: Count | None
 
 
 class Observation(Term):
@@ -162,10 +163,10 @@ class Observation(Term):
     def __init__(
         self,
         *,
-        scale: float = 1.0,
-        noise: float = 0.0,
-        clip: float | None = None,
-        history: int | None = None,
+        scale: Number = 1.0,
+        noise: NotNegative = 0.0,
+        clip: Positive | None = None,
+        history: Count | None = None,
     ) -> None:
         super().__init__()
         if noise < 0:
@@ -228,7 +229,7 @@ class Reward(Term):
     group = "reward"
     eases = True
 
-    def __init__(self, *, weight: float) -> None:
+    def __init__(self, *, weight: Number) -> None:
         super().__init__()
         self.weight = weight
 

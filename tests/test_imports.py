@@ -7,7 +7,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"math", "keys", "errors", "process", "command_line", "console", "run_folder"},
+    {"math", "keys", "errors", "quantities", "process", "command_line", "console", "run_folder"},
     {"term"},
     {"simulation", "maps", "scenes", "terms"},
     {"envs", "planning", "build", "schema", "settings"},

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 
 from resc.errors import ConfigError
+from resc.quantities import Positive, Within
 
 EPSILON = 1e-8
 BOUND = 10.0
@@ -112,9 +114,9 @@ class Networks:
 
 def build_networks(
     *,
-    hidden: Sequence[int],
+    hidden: Sequence[Annotated[int, Within(1.0, 10_000.0)]],
     activation: str = "tanh",
-    initial_std: float = 0.6,
+    initial_std: Positive = 0.6,
     normalization: str = "none",
     observation_width: int,
     action_width: int,

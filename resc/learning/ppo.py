@@ -7,7 +7,7 @@ acting and updating are compiled.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Annotated, cast
 
 import torch
 from tensordict import TensorDict
@@ -23,6 +23,7 @@ from resc.learning.curriculum import Curricula
 from resc.learning.networks import Networks, RunningNormalization
 from resc.learning.statistics import EpisodeStatistics
 from resc.math.sampling import generator_for
+from resc.quantities import Count, NotNegative, Positive, Share, Within
 from resc.term import Curriculum
 
 RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
@@ -53,19 +54,19 @@ class PpoSettings:
             does.
     """
 
-    steps: int
-    minibatch: int
-    epochs: int
-    learning_rate: float
-    final_learning_rate: float
-    gamma: float
-    gae_lambda: float
-    clip_epsilon: float
-    entropy_coefficient: float
-    value_coefficient: float
-    max_grad_norm: float
-    reward_scale: float
-    target_kl: float | None = None
+    steps: Annotated[int, Within(1.0)]
+    minibatch: Annotated[int, Within(1.0, 1e9)]
+    epochs: Count
+    learning_rate: Positive
+    final_learning_rate: NotNegative
+    gamma: Share
+    gae_lambda: Share
+    clip_epsilon: Positive
+    entropy_coefficient: NotNegative
+    value_coefficient: NotNegative
+    max_grad_norm: Positive
+    reward_scale: Positive
+    target_kl: Positive | None = None
 
     def __post_init__(self) -> None:
         if min(self.steps, self.minibatch, self.epochs) < 1:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from resc.build import build
 from resc.errors import ConfigError, PlanningError
 from resc.planning.control_points import control_points
 from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
+from resc.quantities import NotNegative, Positive, Within
 from resc.scenes.layout import Layout, rasterize
 
 MAPS_KEPT = 64
@@ -37,10 +38,10 @@ class RoutePlanner:
     def __init__(
         self,
         *,
-        clearance_m: float,
-        max_expansions: int,
-        spacing_m: Sequence[float],
-        nominal_m: float,
+        clearance_m: NotNegative,
+        max_expansions: Annotated[int, Within(1.0, 1e9)],
+        spacing_m: Sequence[Positive],
+        nominal_m: Positive,
         rule: str = "visible",
         resolution_m: float,
     ) -> None:

@@ -6,6 +6,7 @@ import torch
 
 from resc.errors import ConfigError
 from resc.math.sampling import uniform
+from resc.quantities import NotNegative, Number, Positive
 from resc.scenes.layout import Layout
 
 
@@ -25,12 +26,12 @@ class NamedScene:
     def __init__(
         self,
         *,
-        boxes: Sequence[Sequence[float]],
-        start_m: Sequence[float],
-        goal_m: Sequence[float],
-        origin_m: Sequence[float],
-        size_m: Sequence[float],
-        jitter_m: float = 0.0,
+        boxes: Sequence[Sequence[Number]],
+        start_m: Sequence[Number],
+        goal_m: Sequence[Number],
+        origin_m: Sequence[Number],
+        size_m: Sequence[Positive],
+        jitter_m: NotNegative = 0.0,
         difficulty: str | None = None,
     ) -> None:
         for number, box in enumerate(boxes):

@@ -7,6 +7,7 @@ import torch
 from resc.errors import ConfigError
 from resc.math.geometry import box_distance
 from resc.math.sampling import uniform
+from resc.quantities import Count, NotNegative, Number, Positive
 from resc.scenes.layout import PARKED_M, Layout
 
 
@@ -30,13 +31,13 @@ class RandomBoxes:
     def __init__(
         self,
         *,
-        boxes: int = 200,
-        side_m: Sequence[float] = (0.2, 0.8),
-        size_m: Sequence[float] = (40.0, 20.0),
-        start_m: Sequence[float] = (-18.5, -8.5, 1.0),
-        goal_m: Sequence[float] = (12.0, 4.0, 1.0),
-        keep_clear_m: float = 0.6,
-        jitter_m: float = 0.0,
+        boxes: Count = 200,
+        side_m: Sequence[Positive] = (0.2, 0.8),
+        size_m: Sequence[Positive] = (40.0, 20.0),
+        start_m: Sequence[Number] = (-18.5, -8.5, 1.0),
+        goal_m: Sequence[Number] = (12.0, 4.0, 1.0),
+        keep_clear_m: NotNegative = 0.6,
+        jitter_m: NotNegative = 0.0,
         difficulty: str | None = None,
     ) -> None:
         if boxes < 1:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
@@ -10,6 +11,7 @@ from torch import Tensor
 from resc.errors import ConfigError
 from resc.math.geometry import box_distance
 from resc.math.sampling import uniform
+from resc.quantities import Angle, Count, CountOrNone, NotNegative, Positive, Share, Within
 from resc.scenes.layout import PARKED_M, Layout
 
 SAMPLES_PER_LEG = 26
@@ -46,21 +48,21 @@ class TrainingScene:
     def __init__(
         self,
         *,
-        size_m: float = 12.0,
-        points: int = 2,
-        spacing_m: Sequence[float] = (0.5, 2.5),
-        turn_rad: float = 2 * math.pi / 3,
-        height_m: float = 1.0,
-        height_spread_m: float = 0.1,
-        boxes: int = 16,
-        proposals: int = 120,
-        side_m: Sequence[float] = (0.2, 0.8),
-        walls: float = 0.3,
-        wall_m: Sequence[float] = (1.0, 4.0),
-        offset_m: float = 1.5,
-        detour_m: float = 0.8,
-        guard_m: float = 0.45,
-        start_guard_m: float = 0.6,
+        size_m: Positive = 12.0,
+        points: Count = 2,
+        spacing_m: Sequence[Positive] = (0.5, 2.5),
+        turn_rad: Angle = 2 * math.pi / 3,
+        height_m: Positive = 1.0,
+        height_spread_m: NotNegative = 0.1,
+        boxes: CountOrNone = 16,
+        proposals: Annotated[int, Within(1.0, 100_000.0)] = 120,
+        side_m: Sequence[Positive] = (0.2, 0.8),
+        walls: Share = 0.3,
+        wall_m: Sequence[Positive] = (1.0, 4.0),
+        offset_m: NotNegative = 1.5,
+        detour_m: NotNegative = 0.8,
+        guard_m: NotNegative = 0.45,
+        start_guard_m: NotNegative = 0.6,
         difficulty: str | None = None,
     ) -> None:
         if points < 1 or not 0 <= boxes <= proposals:

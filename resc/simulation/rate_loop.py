@@ -9,6 +9,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Positive, Share
 from resc.term import Context, Term
 
 
@@ -24,7 +25,7 @@ class RateLoop(Term):
     writes = (keys.ROTOR_COMMAND,)
     gains: Tensor
 
-    def __init__(self, *, gains: Sequence[float]) -> None:
+    def __init__(self, *, gains: Sequence[Positive]) -> None:
         super().__init__()
         if len(gains) != 3:
             raise ConfigError(f"gains is {list(gains)}; expected 3 numbers: roll, pitch, yaw.")
@@ -51,9 +52,9 @@ class NormalizedRateLoop(RateLoop):
     def __init__(
         self,
         *,
-        gains: Sequence[float],
-        throttle_range: Sequence[float],
-        torque_ratio: float | None = None,
+        gains: Sequence[Positive],
+        throttle_range: Sequence[Share],
+        torque_ratio: Positive | None = None,
     ) -> None:
         super().__init__(gains=gains)
         if len(throttle_range) != 2 or not 0 <= throttle_range[0] < throttle_range[1] <= 1:

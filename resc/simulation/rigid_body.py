@@ -1,6 +1,7 @@
 """The rigid body, its rotors' lag and linear drag, integrated by RK4."""
 
 import math
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
@@ -10,6 +11,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.math import rotation
 from resc.math.integrate import State, rk4
+from resc.quantities import NotNegative, Within
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import Context, Term
 
@@ -51,7 +53,11 @@ class RigidBody(Term):
     )
 
     def __init__(
-        self, *, substeps: int = 2, rotor_time_constant_s: float = 0.0, drag_1ps: float = 0.0
+        self,
+        *,
+        substeps: Annotated[int, Within(1.0, 100.0)] = 2,
+        rotor_time_constant_s: NotNegative = 0.0,
+        drag_1ps: NotNegative = 0.0,
     ) -> None:
         super().__init__()
         if substeps < 1:

@@ -8,6 +8,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
+from resc.quantities import Number, Positive
 
 GRAVITY_MPS2 = 9.8
 """The published simulator's gravity."""
@@ -30,12 +31,12 @@ class Vehicle:
     def __init__(
         self,
         *,
-        mass_kg: float,
-        inertia_kgm2: Sequence[float],
-        arm_x_m: float,
-        arm_y_m: Sequence[float],
-        torque_coefficient_m: float,
-        thrust_polynomial_n: Sequence[float],
+        mass_kg: Positive,
+        inertia_kgm2: Sequence[Positive],
+        arm_x_m: Positive,
+        arm_y_m: Sequence[Positive],
+        torque_coefficient_m: Positive,
+        thrust_polynomial_n: Sequence[Number],
     ) -> None:
         lists = {
             "inertia_kgm2": (inertia_kgm2, 3),

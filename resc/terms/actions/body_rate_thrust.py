@@ -8,6 +8,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import CountOrNone, NotNegative, Positive
 from resc.term import Action, Context
 
 
@@ -34,10 +35,10 @@ class BodyRateThrust(Action):
     def __init__(
         self,
         *,
-        rate_limit_radps: Sequence[float],
-        thrust_range_g: Sequence[float],
-        gravity_mps2: float = 9.7946,
-        longest_delay_steps: int = 3,
+        rate_limit_radps: Sequence[Positive],
+        thrust_range_g: Sequence[NotNegative],
+        gravity_mps2: Positive = 9.7946,
+        longest_delay_steps: CountOrNone = 3,
     ) -> None:
         super().__init__()
         if len(rate_limit_radps) != 3:

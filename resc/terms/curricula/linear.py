@@ -5,6 +5,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Count
 from resc.term import Curriculum
 
 
@@ -24,7 +25,7 @@ class Linear(Curriculum):
     reads = (keys.TRAINED_SHARE,)
 
     def __init__(
-        self, *, share: float, first: float = 0.0, last: float = 1.0, levels: int = 4
+        self, *, share: float, first: float = 0.0, last: float = 1.0, levels: Count = 4
     ) -> None:
         super().__init__()
         if not 0 < share <= 1:

@@ -6,6 +6,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Count
 from resc.term import Curriculum
 
 EPISODES = ("curriculum", "episodes")
@@ -44,7 +45,7 @@ class Success(Curriculum):
         episodes: int = 1000,
         raise_above: float = 0.8,
         lower_below: float = 0.4,
-        levels: int = 4,
+        levels: Count = 4,
         first: float = 0.0,
     ) -> None:
         super().__init__()

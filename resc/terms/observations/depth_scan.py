@@ -14,6 +14,7 @@ from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
 from resc.maps.ray_casting import fan, rays
 from resc.math.rotation import heading
 from resc.math.sampling import gaussian
+from resc.quantities import Count, NotNegative, Positive, Share
 from resc.term import Context
 
 
@@ -44,12 +45,12 @@ class DepthScan(MapObservation):
     def __init__(
         self,
         *,
-        beams: int = 32,
+        beams: Count = 32,
         field_of_view_rad: float = 1.566,
-        nearest_m: float = 0.2,
-        range_m: float = 5.0,
-        noise_per_m: float = 0.005,
-        dropout: float = 0.02,
+        nearest_m: NotNegative = 0.2,
+        range_m: Positive = 5.0,
+        noise_per_m: NotNegative = 0.005,
+        dropout: Share = 0.02,
         **options: Unpack[MapOptions],
     ) -> None:
         super().__init__(**options)

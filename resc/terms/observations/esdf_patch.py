@@ -1,6 +1,6 @@
 """The distance field around the vehicle."""
 
-from typing import Unpack
+from typing import Annotated, Unpack
 
 import torch
 from jaxtyping import Float
@@ -10,6 +10,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
 from resc.math.rotation import heading
+from resc.quantities import Positive, Within
 from resc.term import FRAMES, Context
 
 
@@ -33,8 +34,8 @@ class EsdfPatch(MapObservation):
     def __init__(
         self,
         *,
-        side: int = 3,
-        spacing_m: float = 0.1,
+        side: Annotated[int, Within(1.0, 100.0)] = 3,
+        spacing_m: Positive = 0.1,
         alignment: str | None = None,
         **options: Unpack[MapOptions],
     ) -> None:

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
+from resc.quantities import Positive
 from resc.term import Observation, ObservationOptions
 
 
@@ -21,7 +22,7 @@ class Heights(Observation):
     reads = (keys.POSITION_W,)
     columns = ("to_ceiling", "to_ground")
 
-    def __init__(self, *, ceiling_m: float = 2.0, **options: Unpack[ObservationOptions]) -> None:
+    def __init__(self, *, ceiling_m: Positive = 2.0, **options: Unpack[ObservationOptions]) -> None:
         super().__init__(**options)
         self.ceiling_m = ceiling_m
 

@@ -12,6 +12,7 @@ from resc.errors import ConfigError
 from resc.maps.constants import FREE_RANGE_M, SHORTEST_STEP_M
 from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
 from resc.maps.ray_casting import fan, rays, toward
+from resc.quantities import Count, Positive
 
 
 class RaySearch(MapObservation):
@@ -50,8 +51,8 @@ class RaySearch(MapObservation):
         self,
         *,
         half_cone_rad: float = math.pi / 3,
-        rays_per_side: int = 15,
-        range_m: float = FREE_RANGE_M,
+        rays_per_side: Count = 15,
+        range_m: Positive = FREE_RANGE_M,
         **options: Unpack[MapOptions],
     ) -> None:
         super().__init__(**options)

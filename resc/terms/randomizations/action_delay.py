@@ -5,6 +5,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import CountOrNone
 from resc.term import Randomization
 
 
@@ -17,7 +18,7 @@ class ActionDelay(Randomization):
     reads = writes = (keys.ACTION_DELAY,)
     draws = 1
 
-    def __init__(self, *, longest_steps: int, shortest_steps: int = 0) -> None:
+    def __init__(self, *, longest_steps: CountOrNone, shortest_steps: CountOrNone = 0) -> None:
         super().__init__()
         if not 0 <= shortest_steps <= longest_steps:
             raise ConfigError(

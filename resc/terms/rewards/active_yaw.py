@@ -7,6 +7,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.math.geometry import norm
 from resc.math.rotation import heading
+from resc.quantities import Number, Positive
 from resc.term import Reward
 
 
@@ -19,7 +20,7 @@ class LookAlongVelocity(Reward):
 
     reads = (keys.ATTITUDE_WB, keys.VELOCITY_W)
 
-    def __init__(self, *, weight: float, slow_mps: float = 0.5) -> None:
+    def __init__(self, *, weight: Number, slow_mps: Positive = 0.5) -> None:
         super().__init__(weight=weight)
         if slow_mps <= 0:
             raise ConfigError(f"slow_mps is {slow_mps}; expected a number above zero.")
@@ -40,7 +41,7 @@ class LookAtControlPoint(Reward):
 
     reads = (keys.ATTITUDE_WB, keys.POSITION_W, keys.CONTROL_POINTS_W)
 
-    def __init__(self, *, weight: float, near_m: float = 0.5) -> None:
+    def __init__(self, *, weight: Number, near_m: Positive = 0.5) -> None:
         super().__init__(weight=weight)
         if near_m <= 0:
             raise ConfigError(f"near_m is {near_m}; expected a number above zero.")

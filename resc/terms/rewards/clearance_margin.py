@@ -5,6 +5,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Number, Positive
 from resc.term import Reward
 
 
@@ -16,7 +17,7 @@ class ClearanceMargin(Reward):
 
     reads = (keys.CLEARANCE,)
 
-    def __init__(self, *, weight: float, margin_m: float) -> None:
+    def __init__(self, *, weight: Number, margin_m: Positive) -> None:
         super().__init__(weight=weight)
         if margin_m <= 0:
             raise ConfigError(f"margin_m is {margin_m}; expected a number above zero.")

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Number, Positive
 from resc.term import Reward
 
 
@@ -17,7 +18,7 @@ class Collision(Reward):
 
     reads = (keys.CLEARANCE,)
 
-    def __init__(self, *, weight: float, radius_m: float = 0.3) -> None:
+    def __init__(self, *, weight: Number, radius_m: Positive = 0.3) -> None:
         super().__init__(weight=weight)
         if radius_m <= 0:
             raise ConfigError(f"radius_m is {radius_m}; expected a number above zero.")

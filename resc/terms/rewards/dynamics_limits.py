@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
+from resc.quantities import Number
 from resc.term import Reward
 
 
@@ -17,7 +18,7 @@ class DynamicsLimits(Reward):
 
     reads = (keys.LIMIT_VIOLATIONS,)
 
-    def __init__(self, *, weight: float, roll_and_pitch_apart: bool = False) -> None:
+    def __init__(self, *, weight: Number, roll_and_pitch_apart: bool = False) -> None:
         super().__init__(weight=weight)
         self.roll_and_pitch_apart = roll_and_pitch_apart
 

@@ -10,6 +10,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.math.geometry import norm
 from resc.math.rotation import rotate_inverse
+from resc.quantities import Angle, NotNegative, Number
 from resc.term import Reward
 
 
@@ -26,10 +27,10 @@ class FieldOfView(Reward):
     def __init__(
         self,
         *,
-        weight: float,
-        horizontal_rad: float = math.pi / 2,
-        vertical_rad: float = 1.03,
-        blind_m: float = 0.5,
+        weight: Number,
+        horizontal_rad: Angle = math.pi / 2,
+        vertical_rad: Angle = 1.03,
+        blind_m: NotNegative = 0.5,
     ) -> None:
         super().__init__(weight=weight)
         if not 0 < horizontal_rad <= 2 * math.pi or not 0 < vertical_rad <= math.pi:

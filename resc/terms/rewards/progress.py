@@ -7,6 +7,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.math.geometry import EPSILON, distance
+from resc.quantities import Number, Positive
 from resc.term import Context, Reward
 
 
@@ -24,10 +25,10 @@ class Progress(Reward):
     def __init__(
         self,
         *,
-        weight: float,
-        speed_mps: float = 3.0,
-        column_radius_m: float | None = 0.5,
-        column_half_height_m: float = 0.2,
+        weight: Number,
+        speed_mps: Positive = 3.0,
+        column_radius_m: Positive | None = 0.5,
+        column_half_height_m: Positive = 0.2,
     ) -> None:
         super().__init__(weight=weight)
         if speed_mps <= 0:

@@ -7,6 +7,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.math.geometry import norm
+from resc.quantities import Angle, Positive
 from resc.term import Sensor
 
 
@@ -22,7 +23,11 @@ class LimitViolations(Sensor):
     eases = True
 
     def __init__(
-        self, *, speed_mps: float = 3.0, acceleration_mps2: float = 6.0, tilt_rad: float = 0.6545
+        self,
+        *,
+        speed_mps: Positive = 3.0,
+        acceleration_mps2: Positive = 6.0,
+        tilt_rad: Angle = 0.6545,
     ) -> None:
         super().__init__()
         if min(speed_mps, acceleration_mps2, tilt_rad) <= 0:

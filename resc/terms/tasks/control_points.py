@@ -6,6 +6,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Positive
 from resc.term import Term
 
 
@@ -20,7 +21,7 @@ class ControlPoints(Term):
     reads = (keys.POSITION_W, keys.ROUTE_W, keys.ROUTE_LENGTH, keys.ROUTE_INDEX)
     writes = (keys.ROUTE_INDEX, keys.CONTROL_POINTS_W, keys.TARGET_W, keys.PASSED, keys.FINISHED)
 
-    def __init__(self, *, radius_m: float = 0.5, half_height_m: float | None = 0.2) -> None:
+    def __init__(self, *, radius_m: Positive = 0.5, half_height_m: Positive | None = 0.2) -> None:
         super().__init__()
         if radius_m <= 0 or (half_height_m is not None and half_height_m <= 0):
             raise ConfigError("radius_m and half_height_m must be above zero.")

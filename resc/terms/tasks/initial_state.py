@@ -9,6 +9,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.math.rotation import quaternion_from_euler
+from resc.quantities import Angle, NotNegative
 from resc.term import Term, uniform_between
 
 
@@ -29,11 +30,11 @@ class InitialState(Term):
     def __init__(
         self,
         *,
-        speed_mps: float = 3.0,
-        heading_rad: float = math.pi / 3,
-        tilt_rad: float = 0.3,
-        yaw_rad: float = math.pi / 4,
-        body_rate_radps: float = 0.5,
+        speed_mps: NotNegative = 3.0,
+        heading_rad: Angle = math.pi / 3,
+        tilt_rad: Angle = 0.3,
+        yaw_rad: Angle = math.pi / 4,
+        body_rate_radps: NotNegative = 0.5,
     ) -> None:
         super().__init__()
         if min(speed_mps, heading_rad, tilt_rad, yaw_rad, body_rate_radps) < 0:

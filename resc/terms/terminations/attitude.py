@@ -5,6 +5,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Angle
 from resc.term import Termination
 
 
@@ -14,7 +15,7 @@ class AttitudeLimit(Termination):
     reads = (keys.EULER,)
     eases = True
 
-    def __init__(self, *, tilt_rad: float = 1.0472) -> None:
+    def __init__(self, *, tilt_rad: Angle = 1.0472) -> None:
         super().__init__()
         if tilt_rad <= 0:
             raise ConfigError(f"tilt_rad is {tilt_rad}; expected a number above zero.")

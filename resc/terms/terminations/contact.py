@@ -4,6 +4,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from resc import keys
+from resc.quantities import NotNegative
 from resc.term import Termination
 
 
@@ -12,7 +13,7 @@ class Contact(Termination):
 
     reads = (keys.SURFACE_CLEARANCE,)
 
-    def __init__(self, *, radius_m: float = 0.0) -> None:
+    def __init__(self, *, radius_m: NotNegative = 0.0) -> None:
         super().__init__()
         self.radius_m = radius_m
 

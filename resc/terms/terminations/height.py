@@ -5,6 +5,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Number
 from resc.term import Termination
 
 
@@ -13,7 +14,7 @@ class HeightLimit(Termination):
 
     reads = (keys.POSITION_W,)
 
-    def __init__(self, *, ground_m: float = 0.0, ceiling_m: float = 2.0) -> None:
+    def __init__(self, *, ground_m: Number = 0.0, ceiling_m: Number = 2.0) -> None:
         super().__init__()
         if ground_m >= ceiling_m:
             raise ConfigError(

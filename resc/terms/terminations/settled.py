@@ -9,6 +9,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
+from resc.quantities import NotNegative
 from resc.term import Context, Termination
 
 SINCE = ("memory", "steps_since_finish")
@@ -21,7 +22,7 @@ class Settled(Termination):
     initial: Mapping[NestedKey, float] = {SINCE: 0.0}
     success = True
 
-    def __init__(self, *, after_s: float = 1.0) -> None:
+    def __init__(self, *, after_s: NotNegative = 1.0) -> None:
         super().__init__()
         if after_s < 0:
             raise ConfigError(f"after_s is {after_s}; expected zero or more.")

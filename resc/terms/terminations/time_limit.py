@@ -5,6 +5,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.quantities import Positive
 from resc.term import Context, Termination
 
 
@@ -14,7 +15,7 @@ class TimeLimit(Termination):
     reads = (keys.CLOCK,)
     truncates = True
 
-    def __init__(self, *, limit_s: float = 10.0) -> None:
+    def __init__(self, *, limit_s: Positive = 10.0) -> None:
         super().__init__()
         if limit_s <= 0:
             raise ConfigError(f"limit_s is {limit_s}; expected a number above zero.")
