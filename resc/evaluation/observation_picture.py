@@ -19,6 +19,7 @@ from torch import Tensor
 from resc import keys
 from resc.build import build_terms, load_config
 from resc.evaluation.panel import BACKGROUND, FRAME, OBSTACLE, PLAN, SHADE_M, TEXT
+from resc.maps.cells import shape_of
 from resc.maps.constants import OCCUPIED_M
 from resc.maps.distance_transform import distance_transform
 from resc.math.rotation import quaternion_from_euler
@@ -45,7 +46,7 @@ def draw_all(folder: Path) -> list[Path]:
         rasterize(
             torch.tensor([BOXES]),
             torch.zeros(1, 2),
-            (round(SIZE_M[1] / RESOLUTION_M), round(SIZE_M[0] / RESOLUTION_M)),
+            shape_of(torch.tensor(SIZE_M), RESOLUTION_M),
             RESOLUTION_M,
         ),
         RESOLUTION_M,

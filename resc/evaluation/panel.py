@@ -14,6 +14,7 @@ from matplotlib.patches import Circle, Rectangle
 from resc.evaluation.courses import Course
 from resc.evaluation.flights import Flights
 from resc.evaluation.statistics import SceneReport
+from resc.maps.cells import extent_of, shape_of
 from resc.maps.distance_transform import distance_transform
 from resc.scenes.layout import rasterize
 
@@ -84,7 +85,8 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
     """Draws one panel; `mark_scale` shrinks start, goal and crosses."""
     flown, first = panel.flown, panel.shown[0]
     layout = flown.course.layout
-    (x, y), (width, height) = layout.origin_w[first].tolist(), layout.size[first].tolist()
+    (x, y) = layout.origin_w[first].tolist()
+    width, height = extent_of(layout.size[first], flown.resolution_m).tolist()
     axes.imshow(
         _distance(flown.course, first, flown.resolution_m),
         extent=(x, x + width, y, y + height),
@@ -164,6 +166,6 @@ def _distance(course: Course, number: int, resolution_m: float) -> Float[np.ndar
     """Distance field of one flight's map [m]."""
     of = slice(number, number + 1)
     layout = course.layout
-    width, height = (layout.size[number] / resolution_m).round().int().tolist()
-    occupied = rasterize(layout.boxes_w[of], layout.origin_w[of], (height, width), resolution_m)
+    shape = shape_of(layout.size[of], resolution_m)
+    occupied = rasterize(layout.boxes_w[of], layout.origin_w[of], shape, resolution_m)
     return distance_transform(occupied, resolution_m, SHADE_M)[0].numpy()

@@ -2,9 +2,10 @@
 
 Positions in single precision, from the map's lower-left corner, directions in double: as near to
 exact arithmetic as single-precision maps allow. `limits` are the two numbers of a `Surface` and the
-distance at which the map is truncated. Inner loops over lanes are written for the compiler to turn
-into vector instructions: no branches, one array for all that belongs to the lanes. The kernels are
-marked `no_type_check`: numba cannot compile the wrappers of the tests' type checker.
+distance at which the map is truncated; `ends` is what `_ends` gives. Inner loops over lanes are
+written for the compiler to turn into vector instructions: no branches, one array for all that
+belongs to the lanes. The kernels are marked `no_type_check`: numba cannot compile the wrappers of
+the tests' type checker.
 """
 
 import functools
@@ -16,11 +17,12 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from resc.maps.cells import SLACK
 from resc.maps.constants import GAP_M, HALF_SECTOR_RAD, REACHED_M, SHORTEST_STEP_M
 
 F = np.float32
 _STEP, _GAP, _REACHED = F(SHORTEST_STEP_M), F(GAP_M), F(REACHED_M)
-_SECTOR = F(HALF_SECTOR_RAD)
+_SECTOR, _SLACK = F(HALF_SECTOR_RAD), F(SLACK)
 LANES = 16
 """Rays marched in step."""
 FEW = 3
@@ -30,43 +32,53 @@ _UX, _UY, _TRAVELLED, _DISTANCE, _ACTIVE, _AHEAD, _INSIDE, _FOUND = range(0, 8 *
 
 @njit(error_model="numpy")
 @no_type_check
-def _at(field, width, x, y, size_x, size_y, per_m):
+def _at(field, width, x, y, ends, per_m):
     """Distance stored in the cell of (x, y), clamped to the map."""
-    column = np.int32(min(max(x * per_m, F(0.0)), size_x * per_m - F(0.5)))
-    row = np.int32(min(max(y * per_m, F(0.0)), size_y * per_m - F(0.5)))
+    _, _, last_x, last_y = ends
+    column = np.int32(min(max(x * per_m, F(0.0)), last_x))
+    row = np.int32(min(max(y * per_m, F(0.0)), last_y))
     return field[np.uint32(row * width + column)]
 
 
 @njit(error_model="numpy")
 @no_type_check
-def _on_map(x, y, size_x, size_y):
-    return x >= F(0.0) and y >= F(0.0) and x < size_x and y < size_y
+def _ends(size_x, size_y, width, height, per_m):
+    """The map's extent, and the middles of its last cells (`resc.maps.cells.last_cell`)."""
+    last_x = min(np.ceil(size_x * per_m - _SLACK), F(width)) - F(0.5)
+    last_y = min(np.ceil(size_y * per_m - _SLACK), F(height)) - F(0.5)
+    return size_x, size_y, last_x, last_y
 
 
 @njit(error_model="numpy")
 @no_type_check
-def _cast(field, width, x, y, ux, uy, length, start, size_x, size_y, per_m, limits):
+def _on_map(x, y, ends):
+    return x >= F(0.0) and y >= F(0.0) and x < ends[0] and y < ends[1]
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _cast(field, width, x, y, ux, uy, length, start, ends, per_m, limits):
     """How far a ray gets, and whether the cell it ends in is occupied (facts 4.3)."""
     occupied, margin, truncation = limits
     travelled, distance = F(0.0), start
     while travelled < length:
         ahead = travelled + max(min(distance, truncation) - margin, _STEP)
         qx, qy = x + ahead * ux, y + ahead * uy
-        if not _on_map(qx, qy, size_x, size_y):
+        if not _on_map(qx, qy, ends):
             return travelled, distance < occupied
-        distance = _at(field, width, qx, qy, size_x, size_y, per_m)
+        distance = _at(field, width, qx, qy, ends, per_m)
         if distance < occupied:
             return ahead, True
         travelled = ahead
     end_x, end_y = x + length * ux, y + length * uy
-    return length, _at(field, width, end_x, end_y, size_x, size_y, per_m) < occupied
+    return length, _at(field, width, end_x, end_y, ends, per_m) < occupied
 
 
 @njit(error_model="numpy", fastmath={"nnan", "ninf", "nsz", "reassoc"})
 @no_type_check
-def _jump(x, y, size_x, size_y, width, per_m, margin, lanes, cells):
+def _jump(x, y, ends, width, per_m, margin, lanes, cells):
     """Proposes each lane's next point: how far it is, whether it is on the map, and its cell."""
-    last_x, last_y = size_x * per_m - F(0.5), size_y * per_m - F(0.5)
+    size_x, size_y, last_x, last_y = ends
     for j in range(LANES):
         step = lanes[_ACTIVE + j] * max(lanes[_DISTANCE + j] - margin, _STEP)
         ahead = lanes[_TRAVELLED + j] + step
@@ -105,7 +117,7 @@ def _move(length, occupied, lanes):
 
 @njit(error_model="numpy")
 @no_type_check
-def _march(field, width, x, y, start, length, size_x, size_y, per_m, limits, lanes, cells):
+def _march(field, width, x, y, start, length, ends, per_m, limits, lanes, cells):
     """`_cast` for all lanes in step: leaves how far each gets and the distance stored there.
 
     One ray alone waits for one look-up after the other and for branches guessed wrong; in step
@@ -117,21 +129,21 @@ def _march(field, width, x, y, start, length, size_x, size_y, per_m, limits, lan
         lanes[_ACTIVE + j] = F(1.0)
     going = F(1.0)
     while going > F(0.0):
-        _jump(x, y, size_x, size_y, width, per_m, margin, lanes, cells)
+        _jump(x, y, ends, width, per_m, margin, lanes, cells)
         _look_up(field, truncation, lanes, cells)
         going = _move(length, occupied, lanes)
     for j in range(LANES):
         if lanes[_TRAVELLED + j] >= length and lanes[_DISTANCE + j] >= occupied:
             lanes[_TRAVELLED + j] = length
             end_x, end_y = x + length * lanes[_UX + j], y + length * lanes[_UY + j]
-            lanes[_DISTANCE + j] = _at(field, width, end_x, end_y, size_x, size_y, per_m)
+            lanes[_DISTANCE + j] = _at(field, width, end_x, end_y, ends, per_m)
 
 
 @njit(error_model="numpy")
 @no_type_check
 def _sweep(
     field, width, x, y, ux, uy, radius, side, turns, rays,
-    guide_reach, guide_blocked, start, size_x, size_y, per_m, limits, lanes, cells,
+    guide_reach, guide_blocked, start, ends, per_m, limits, lanes, cells,
 ):  # fmt: skip
     """Where the edge of one side lies: x, y (facts 4.4).
 
@@ -146,7 +158,7 @@ def _sweep(
             lanes[_UY + j] = F(uy * turn_x + ux * turn_y)
         turn_x, turn_y = turns[LANES - 1], side * turns[2 * LANES - 1]
         ux, uy = ux * turn_x - uy * turn_y, uy * turn_x + ux * turn_y
-        _march(field, width, x, y, start, radius, size_x, size_y, per_m, limits, lanes, cells)
+        _march(field, width, x, y, start, radius, ends, per_m, limits, lanes, cells)
         for j in range(min(LANES, rays - first)):
             reach, blocked = lanes[_TRAVELLED + j], lanes[_DISTANCE + j] < limits[0]
             gap = blocked and reach - last_reach > _GAP
@@ -217,7 +229,7 @@ def _corner(x, y, hit_x, hit_y, offset_x, offset_y, nearest, resolution):
 @njit(error_model="numpy")
 @no_type_check
 def _cast_fan(
-    field, width, x, y, direction, length, start, size_x, size_y, per_m, limits, lanes, cells,
+    field, width, x, y, direction, length, start, ends, per_m, limits, lanes, cells,
     reach, blocked,
 ):  # fmt: skip
     """Casts the rays of one fan: `LANES` in step, of those left over at most `FEW` one by one."""
@@ -227,14 +239,14 @@ def _cast_fan(
         for j in range(LANES):
             ray = min(first + j, rays - 1)
             lanes[_UX + j], lanes[_UY + j] = direction[ray, 0], direction[ray, 1]
-        _march(field, width, x, y, start, length, size_x, size_y, per_m, limits, lanes, cells)
+        _march(field, width, x, y, start, length, ends, per_m, limits, lanes, cells)
         for j in range(min(LANES, rays - first)):
             reach[first + j] = lanes[_TRAVELLED + j]
             blocked[first + j] = lanes[_DISTANCE + j] < limits[0]
     for ray in range(rays - alone, rays):
         reach[ray], blocked[ray] = _cast(
             field, width, x, y, direction[ray, 0], direction[ray, 1], length, start,
-            size_x, size_y, per_m, limits,
+            ends, per_m, limits,
         )  # fmt: skip
 
 
@@ -245,16 +257,17 @@ def _cast_batch(
     resolution, limits,
 ):  # fmt: skip
     per_m = F(1.0) / resolution
-    width, fields = np.int32(esdf.shape[2]), esdf.reshape(esdf.shape[0], -1)
+    height, width = np.int32(esdf.shape[1]), np.int32(esdf.shape[2])
+    fields = esdf.reshape(esdf.shape[0], -1)
     lanes, cells = np.empty(8 * LANES, np.float32), np.empty(LANES, np.int32)
     for i in range(first, last):
         field = fields[index[i]]
         x, y = here[i, 0] - origin[i, 0], here[i, 1] - origin[i, 1]
-        size_x, size_y = size[i, 0], size[i, 1]
-        start = _at(field, width, x, y, size_x, size_y, per_m)
+        ends = _ends(size[i, 0], size[i, 1], width, height, per_m)
+        start = _at(field, width, x, y, ends, per_m)
         for g in range(length.shape[1]):
             _cast_fan(
-                field, width, x, y, direction[i, g], length[i, g], start, size_x, size_y, per_m,
+                field, width, x, y, direction[i, g], length[i, g], start, ends, per_m,
                 limits, lanes, cells, reach[i, g], blocked[i, g],
             )  # fmt: skip
 
@@ -272,27 +285,27 @@ def _guided_batch(
     loaded = F(0.0)
     for i in range(first, last):
         x, y = here[i, 0] - origin[i, 0], here[i, 1] - origin[i, 1]
-        size_x, size_y = size[i, 0], size[i, 1]
-        if not _on_map(x, y, size_x, size_y):
+        ends = _ends(size[i, 0], size[i, 1], width, height, per_m)
+        if not _on_map(x, y, ends):
             result[i] = F(0.0)
             continue
         field = fields[index[i]]
         loaded += _load_near(field, height, width, x, y, radius[i].max(), per_m)
-        start = _at(field, width, x, y, size_x, size_y, per_m)
+        start = _at(field, width, x, y, ends, per_m)
         for g in range(offset.shape[1]):
             guide_x, guide_y, length = offset[i, g, 0], offset[i, g, 1], radius[i, g]
             # Not -pi, as atan2 has it for a pair of negative zeros: without a direction, along x.
             toward = math.atan2(guide_y, guide_x) if guide_x != 0 or guide_y != 0 else 0.0
             ux, uy = math.cos(toward), math.sin(toward)
             reach, blocked = _cast(
-                field, width, x, y, F(ux), F(uy), length, start, size_x, size_y, per_m, limits
+                field, width, x, y, F(ux), F(uy), length, start, ends, per_m, limits
             )  # fmt: skip
             rays = _turns(length, per_m, turns)
             for k in range(2):
                 side = 1.0 - 2.0 * k
                 hit_x, hit_y = _sweep(
                     field, width, x, y, ux, uy, length, side, turns, rays,
-                    reach, blocked, start, size_x, size_y, per_m, limits, lanes, cells,
+                    reach, blocked, start, ends, per_m, limits, lanes, cells,
                 )  # fmt: skip
                 corner_x, corner_y = _corner(
                     x, y, hit_x, hit_y, guide_x, guide_y, not blocked, resolution

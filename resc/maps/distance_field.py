@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from resc.maps.cells import last_cell
+
 
 @dataclass(frozen=True)
 class DistanceField:
@@ -35,11 +37,11 @@ class DistanceField:
         """
         _, height, width = self.esdf.shape
         per_m = 1.0 / self.resolution_m
-        last = self.size * per_m - 0.5
-        column = (
-            ((x - self.origin_w[:, 0]) * per_m).clamp(min=0).minimum(last[:, 0]).to(torch.int32)
-        )
-        row = ((y - self.origin_w[:, 1]) * per_m).clamp(min=0).minimum(last[:, 1]).to(torch.int32)
+        last_column, last_row = last_cell(self.size, per_m, (height, width))
+        column = (x - self.origin_w[:, 0]) * per_m
+        column = column.clamp(min=0).minimum(last_column).to(torch.int32)
+        row = (y - self.origin_w[:, 1]) * per_m
+        row = row.clamp(min=0).minimum(last_row).to(torch.int32)
         offset = self.index.to(torch.int32) * (height * width)
         return self.esdf.view(-1)[offset + row * width + column].clamp(max=self.truncation_m)
 

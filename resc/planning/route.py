@@ -11,6 +11,7 @@ from torch import Tensor
 
 from resc.build import build
 from resc.errors import ConfigError, PlanningError
+from resc.maps.cells import shape_of
 from resc.planning.control_points import control_points
 from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
 from resc.quantities import NotNegative, Positive, Within
@@ -119,8 +120,7 @@ class RoutePlanner:
         key = b"".join(np.ascontiguousarray(t.numpy()).tobytes() for t in (boxes, origin, size))
         if key not in self._maps:
             resolution = self.search.resolution_m
-            width, height = (size[0] / resolution).round().int().tolist()
-            occupied = rasterize(boxes, origin, (height, width), resolution)[0]
+            occupied = rasterize(boxes, origin, shape_of(size, resolution), resolution)[0]
             if len(self._maps) >= MAPS_KEPT:
                 self._maps.pop(next(iter(self._maps)))
             self._maps[key] = self.search.prepare(occupied.numpy())

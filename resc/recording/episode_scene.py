@@ -15,6 +15,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.build import build, build_terms
+from resc.maps.cells import extent_of, shape_of
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
 from resc.maps.observation import MapObservation
@@ -158,13 +159,12 @@ def _facts(log: RolloutLog, episode: int) -> dict[str, str]:
 def _place(arrays: Mapping[str, Tensor], config: Mapping[str, Any]) -> Place:
     resolution = config["env"]["resolution_m"]
     origin, size, boxes = arrays["origin_w"], arrays["size"], arrays["boxes_w"]
-    width, height = (size / resolution).round().int().tolist()
-    occupied = rasterize(boxes[None], origin[None], (height, width), resolution)
+    occupied = rasterize(boxes[None], origin[None], shape_of(size, resolution), resolution)
     task = config["task"]["control_points"]
     return Place(
         boxes=boxes[boxes[:, 0] < PARKED_M],
         origin=origin,
-        size=size,
+        size=extent_of(size, resolution),
         resolution=resolution,
         esdf=distance_transform(occupied, resolution, TRUNCATION_M)[0],
         start=arrays["start_w"],

@@ -18,7 +18,8 @@ class Layout:
     Boxes are columns over the whole height, `[x, y, len_x, len_y]` from the lower-left corner [m].
 
     `route_length` 0 means that only the goal is known (`route_w[:, 0]`) and a planner has to fill
-    in the route.
+    in the route. The map ends where the last whole cell does that its `size` needs
+    (`resc.maps.cells`).
     """
 
     boxes_w: Float[Tensor, "p k 4"]

@@ -1,7 +1,7 @@
 """The pool of scenes that environments are reset into."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
+from resc.maps.cells import extent_of, shape_of
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
 from resc.scenes.difficulty import eased
@@ -65,8 +66,7 @@ class ScenePool:
         self.plan = plan
         self.head = 0
         self.layout = self._lay_out(torch.arange(size))
-        cells = (self.layout.size.amax(0) / resolution_m).round().int().tolist()
-        self.shape = (cells[1], cells[0])
+        self.shape = self._cells(self.layout)
         esdf = self._transform(self.layout)
         self.shared: dict[NestedKey, Tensor] = {
             keys.ESDF: esdf.to(device),
@@ -143,6 +143,11 @@ class ScenePool:
         self._write(torch.arange(len(self)), Layout(**fields))
 
     def _write(self, entries: Tensor, layout: Layout) -> None:
+        if len(layout) and any(a > b for a, b in zip(self._cells(layout), self.shape, strict=True)):
+            raise ConfigError(
+                f"A renewed scene has {self._cells(layout)} rows and columns of cells, more than "
+                f"the {self.shape} of the first ones; give scenes one size, or set renew_scenes=0."
+            )
         rows = entries.to(self.shared[keys.ESDF].device)
         fresh = {
             keys.ESDF: self._transform(layout),
@@ -173,6 +178,7 @@ class ScenePool:
 
     def _lay_out(self, entries: Int[Tensor, " k"]) -> Layout:
         layout = self.scene.sample(len(entries), self.generator)
+        layout = replace(layout, size=extent_of(layout.size, self.resolution_m))
         if self.levels.tolist() != [1.0]:
             layout = eased(layout, self._difficulty(entries))
         if (layout.route_length > 0).all():
@@ -183,6 +189,10 @@ class ScenePool:
                 "(search=visibility)."
             )
         return self.plan(layout)
+
+    def _cells(self, layout: Layout) -> tuple[int, int]:
+        """Rows and columns that hold every map of a layout."""
+        return shape_of(layout.size, self.resolution_m)
 
     def _transform(self, layout: Layout) -> Float[Tensor, "p h w"]:
         parts = []
