@@ -54,7 +54,8 @@ class Term(TensorDictModuleBase):
 
     `writes = ()` means one key named by the configuration, `(group, name)`. Terms hold constants
     only; what must survive a step is written under a key with an `initial` value. `draws` uniform
-    numbers per reset environment reach `compute` as its last argument when `draws > 0`.
+    numbers per reset environment reach `compute` as its last argument when `draws > 0`. Its keys
+    stand under `group`, its configuration under `section` where that is another.
 
     A term that `eases` can be made easier: with `difficulty: name` in its configuration, the
     difficulty of that name, [n, 1] in [0, 1], follows all other arguments of `compute`.
@@ -64,6 +65,7 @@ class Term(TensorDictModuleBase):
     writes: ClassVar[tuple[NestedKey, ...]] = ()
     initial: Mapping[NestedKey, float] = {}
     group: ClassVar[str] = ""
+    section: ClassVar[str] = ""
     draws: int = 0
     name: str = ""
     eases: ClassVar[bool] = False
@@ -85,6 +87,11 @@ class Term(TensorDictModuleBase):
         self.in_keys = list(self.reads)  # pyright: ignore[reportAttributeAccessIssue]
         self.out_keys = list(self.outputs)  # pyright: ignore[reportAttributeAccessIssue]
         return self
+
+    @property
+    def path(self) -> str:
+        """Where it stands in the configuration, for messages."""
+        return ".".join(part for part in (self.section or self.group, self.name) if part)
 
     @property
     def outputs(self) -> tuple[NestedKey, ...]:
@@ -258,6 +265,7 @@ class Randomization(Term):
     """Draws physical parameters anew at every reset: reads nominal values, writes drawn ones."""
 
     group = "params"
+    section = "randomization"
 
 
 class Metric(Term):
@@ -284,6 +292,7 @@ class Curriculum(Term):
     """
 
     group = "difficulty"
+    section = "curriculum"
     writes = (keys.CURRICULUM_DIFFICULTY,)
     levels: Sequence[float]
 

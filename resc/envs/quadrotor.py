@@ -10,6 +10,7 @@ from torchrl.envs import EnvBase
 
 from resc import keys
 from resc.envs.stages import Stages, StepOutput, World
+from resc.envs.trial import check_terms
 from resc.errors import ConfigError, NumericalError
 from resc.math.sampling import generator_for
 from resc.scenes.pool import ScenePool
@@ -67,6 +68,7 @@ class QuadrotorEnv(EnvBase):
             self._restart_function = torch.compile(
                 self._restart_rows, fullgraph=True, dynamic=False
             )
+        check_terms(self.stages, pool)
         self._make_specs()
         self.set_seed(seed)
         self.difficulties = {
@@ -243,13 +245,8 @@ class QuadrotorEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed_value = 0 if seed is None else seed
-        drawing = [
-            t
-            for t in (*self.stages.terms.randomizations, self.stages.terms.initial_state)
-            if t.draws
-        ]
         self.step_draws = self.stages.step_draws
-        self.draws = {term.name: term.draws for term in drawing} | self.step_draws
+        self.draws = self.stages.reset_draws | self.step_draws
         names = ["scene", *self.draws]
         self.generators = {name: generator_for(self.seed_value, name) for name in names}
         self.visits.zero_()

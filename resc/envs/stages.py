@@ -96,7 +96,7 @@ class Stages(nn.Module):
         self.terms = terms
         self.scene_difficulty = scene_difficulty
         readers = {"scene": scene_difficulty}
-        readers |= {f"{term.group or 'task'}.{term.name}": term.difficulty for term in terms}
+        readers |= {term.path: term.difficulty for term in terms}
         self.eased = {path: name for path, name in readers.items() if name}
         self.difficulties = tuple(dict.fromkeys(self.eased.values()))
         self.modules_of_terms = nn.ModuleList(
@@ -104,7 +104,7 @@ class Stages(nn.Module):
         )  # so that .to(device) reaches their buffers
         self.context = context
         for term in terms:
-            term.bind(context)
+            _bind(term, context)
         for term in terms.observations:
             term.history = term.history or context.history
         for name, value in context.vehicle.parameters().items():
@@ -126,6 +126,12 @@ class Stages(nn.Module):
             for term in self.terms.observations
             for column in term.column_names
         ]
+
+    @property
+    def reset_draws(self) -> dict[str, int]:
+        """Widths of the uniform blocks drawn at every reset alone, by generator."""
+        drawing = (*self.terms.randomizations, self.terms.initial_state)
+        return {term.name: term.draws for term in drawing if term.draws}
 
     @property
     def step_draws(self) -> dict[str, int]:
@@ -315,11 +321,23 @@ class Stages(nn.Module):
             _require(term, at_reset, "which an episode does not begin with")
 
 
+def _bind(term: Term, context: Context) -> None:
+    try:
+        term.bind(context)
+    except ConfigError as error:
+        raise ConfigError(f"{term.path}: {error}") from None
+
+
 def _require(term: Term, known: set[NestedKey], fact: str) -> None:
     for key in term.reads:
+        if not isinstance(key, tuple):
+            raise ConfigError(
+                f"{term.path} reads {key!r}, which is no key; reads is a tuple of keys such as "
+                "(keys.POSITION_W,) with its comma."
+            )
         if key not in known:
             raise ConfigError(
-                f"{term.group or 'term'}.{term.name} reads {'.'.join(key)}, {fact}; "
+                f"{term.path} reads {'.'.join(key)}, {fact}; "
                 "add a term that writes it, or drop this one."
             )
 

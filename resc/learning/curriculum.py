@@ -10,6 +10,7 @@ from resc import keys
 from resc.build import nearest
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
+from resc.envs.trial import watched
 from resc.errors import ConfigError
 from resc.keys import NestedKey
 from resc.term import Curriculum
@@ -23,7 +24,8 @@ class Curricula:
         env: Their reader.
 
     Raises:
-        ConfigError: A difficulty is written that nothing reads, or read that nothing writes.
+        ConfigError: A difficulty is written that nothing reads, or read that nothing writes, or a
+            curriculum gives what is no difficulty.
     """
 
     def __init__(self, terms: Sequence[Curriculum], env: QuadrotorEnv) -> None:
@@ -34,6 +36,10 @@ class Curricula:
             term.name: {key: torch.full((1, 1), value) for key, value in term.initial.items()}
             for term in terms
         }
+        with torch.no_grad(), watched(terms, batch=1):
+            for share, count in ((0.0, 0), (0.5, 3), (1.0, 3)):
+                for term in terms:
+                    self._next(term, share, torch.ones(count, 1), torch.ones(count, 1).bool())
         self._publish()
 
     @property
@@ -54,22 +60,12 @@ class Curricula:
             episodes: Those finished in the last batch [e]: `success` and, under `difficulties`, the
                 difficulty of each name that they were flown at.
         """
-        trained = torch.full((1, 1), share)
         for term in self.terms:
             flown_at, succeeded = torch.zeros(0, 1), torch.zeros(0, 1, dtype=torch.bool)
             if episodes is not None:
                 flown_at = episodes["difficulties", term.name].unsqueeze(-1)
                 succeeded = episodes["success"].unsqueeze(-1)
-            memory = self.memory[term.name]
-            tensors = memory | {
-                keys.TRAINED_SHARE: trained,
-                keys.EPISODE_DIFFICULTY: flown_at,
-                keys.EPISODE_SUCCESS: succeeded,
-            }
-            term.run(tensors)
-            value = tensors[keys.CURRICULUM_DIFFICULTY]
-            tensors[keys.CURRICULUM_DIFFICULTY] = value.clamp(0, 1)
-            self.memory[term.name] = {key: tensors[key] for key in memory}
+            self.memory[term.name] = self._next(term, share, flown_at, succeeded)
         self._publish()
 
     def figures(self) -> dict[str, float]:
@@ -91,6 +87,21 @@ class Curricula:
             for name, memory in state.items()
         }
         self._publish()
+
+    def _next(
+        self, term: Curriculum, share: float, flown_at: Tensor, succeeded: Tensor
+    ) -> dict[NestedKey, Tensor]:
+        """What a curriculum remembers after these episodes [e, 1]."""
+        memory = self.memory[term.name]
+        tensors = memory | {
+            keys.TRAINED_SHARE: torch.full((1, 1), share),
+            keys.EPISODE_DIFFICULTY: flown_at,
+            keys.EPISODE_SUCCESS: succeeded,
+        }
+        term.run(tensors)
+        value = tensors[keys.CURRICULUM_DIFFICULTY]
+        tensors[keys.CURRICULUM_DIFFICULTY] = value.clamp(0, 1)
+        return {key: tensors[key] for key in memory}
 
     def _publish(self) -> None:
         for name, value in self.difficulties.items():

@@ -18,6 +18,7 @@ class ControlPoints(Term):
     past the last, it stays repeated and the route is finished.
     """
 
+    section = "task"
     reads = (keys.POSITION_W, keys.ROUTE_W, keys.ROUTE_LENGTH, keys.ROUTE_INDEX)
     writes = (keys.ROUTE_INDEX, keys.CONTROL_POINTS_W, keys.TARGET_W, keys.PASSED, keys.FINISHED)
 

@@ -22,6 +22,7 @@ class InitialState(Term):
     ranges: at 0 the vehicle stands level and faces the first control point.
     """
 
+    section = "task"
     reads = (keys.START_W, keys.ROUTE_W)
     writes = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
     draws = 8
