@@ -25,5 +25,9 @@ class NumericalError(RescError):
     """A value that is not finite where only finite ones make sense."""
 
 
+class CallError(RescError, ValueError):
+    """A call in the wrong order, or with a tensor of another shape, type or device."""
+
+
 class SweepError(RescError):
     """A sweep that ended with runs that failed or are not finished."""

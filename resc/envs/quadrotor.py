@@ -9,10 +9,11 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from resc import keys
+from resc.envs.calls import bad_action, require_action, require_rows
 from resc.envs.stages import Stages, StepOutput, World
 from resc.envs.trial import check_terms
-from resc.errors import ConfigError, NumericalError
-from resc.math.sampling import generator_for
+from resc.errors import CallError, ConfigError
+from resc.math.sampling import generator_for, require_seed
 from resc.scenes.pool import ScenePool
 
 
@@ -94,6 +95,7 @@ class QuadrotorEnv(EnvBase):
 
     def value_of(self, key: tuple[str, ...]) -> Tensor:
         """One entry of the world, a view."""
+        self._require_reset()
         return self._world[key]
 
     def world_of(self, rows: Tensor) -> World:
@@ -103,17 +105,24 @@ class QuadrotorEnv(EnvBase):
     @property
     def flown_difficulties(self) -> dict[str, Tensor]:
         """Difficulties of the present episodes [n, 1], by name: views."""
-        return {name: self._world[keys.difficulty(name)] for name in self.difficulties}
+        return {name: self.value_of(keys.difficulty(name)) for name in self.difficulties}
 
     @torch.no_grad()
     def advance(self, action: Tensor) -> StepOutput:
         """One control step of all environments; rows that are done wait for `restart`.
 
+        Args:
+            action: float32 [n, a] on the environment's device, clipped to [-1, 1].
+
         Raises:
+            CallError: Nothing was reset yet, or the action is of another shape, type or device.
             NumericalError: The action holds a number that is not finite.
         """
+        self._require_reset()
+        require_action(action, (self.num_envs, self.stages.terms.action.width), self.device)
         if not action.isfinite().all():
-            self._report_bad_action(action)
+            columns = self.stages.observation_columns
+            raise bad_action(action, self.observation, self._world[keys.CLOCK], columns)
         drawn = self._draw(self.step_draws, self.num_envs)
         self._world, out = self._step_function(self._world, self.pool.shared, action, drawn)
         self.observation = out.observation
@@ -122,7 +131,12 @@ class QuadrotorEnv(EnvBase):
 
     @torch.no_grad()
     def restart(self, rows: Tensor) -> Tensor:
-        """Begins new episodes in the given rows; returns the observation of all rows [n, width]."""
+        """Begins new episodes in the given rows [k]; returns the observation of all [n, width].
+
+        Raises:
+            CallError: The rows are no numbers of environments.
+        """
+        require_rows(rows, self.num_envs)
         if not self._world:
             self._allocate()
         if not len(rows):
@@ -168,11 +182,17 @@ class QuadrotorEnv(EnvBase):
 
         These must restart.
         """
+        self._require_reset()
         entries = self.pool.renew(count).to(self.device)
         return torch.isin(self._world[keys.SCENE_INDEX][:, 0], entries).nonzero()[:, 0]
 
     def set_difficulty(self, name: str, value: float) -> None:
         """Eases the episodes that begin from now on; 1 is full difficulty, as at construction."""
+        if name not in self.difficulties:
+            raise ConfigError(
+                f"Nothing reads a difficulty '{name}'; there are: "
+                f"{', '.join(self.difficulties) or 'none'}."
+            )
         self.difficulties[name].fill_(value)  # in place: an input of the compiled reset
         if name == self.stages.scene_difficulty:
             self.scene_difficulty = value
@@ -234,14 +254,14 @@ class QuadrotorEnv(EnvBase):
             key: value.new_zeros(self.num_envs, *value.shape[1:]) for key, value in fresh.items()
         }
 
-    def _report_bad_action(self, action: Tensor) -> None:
-        row = int((~action.isfinite().all(-1)).nonzero()[0, 0])
-        step = int(self._world[keys.CLOCK][row, 0])
-        raise NumericalError(
-            f"The policy's output for environment {row} at step {step} of its episode is "
-            f"{action[row].tolist()}; "
-            f"lower the learning rate or resume from an earlier checkpoint."
-        )
+    def _require_reset(self) -> None:
+        if not self._world:
+            raise CallError("The environment has not been reset; call reset (or restart) first.")
+
+    def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
+        """Begins every random sequence anew; returns a seed for a next environment."""
+        require_seed(0 if seed is None else seed)
+        return super().set_seed(seed, static_seed)
 
     def _set_seed(self, seed: int | None) -> None:
         self.seed_value = 0 if seed is None else seed
@@ -279,6 +299,8 @@ class QuadrotorEnv(EnvBase):
         )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        if "action" not in tensordict:
+            raise CallError("The tensordict given to step has no 'action'; set one for every row.")
         out = self.advance(tensordict["action"])
         return TensorDict(
             {

@@ -20,6 +20,7 @@ from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import World
 from resc.errors import ConfigError, NumericalError
 from resc.learning.curriculum import Curricula
+from resc.learning.diagnosis import largest_reward, require_finite
 from resc.learning.networks import Networks, RunningNormalization
 from resc.learning.statistics import EpisodeStatistics
 from resc.math.sampling import generator_for
@@ -183,7 +184,11 @@ class Ppo:
 
     @torch.no_grad()
     def collect(self) -> None:
-        """Flies `steps` control steps in all environments into `batch`, then renews scenes."""
+        """Flies `steps` control steps in all environments into `batch`, then renews scenes.
+
+        Raises:
+            NumericalError: An observation, a reward or an action is not finite; names its term.
+        """
         batch, env = self.batch, self.env
         self.statistics.begin_batch(self.iteration * self.settings.steps)
         self._terminal: list[tuple[int, Tensor, Tensor]] = []
@@ -197,7 +202,11 @@ class Ppo:
             row["state_value"].copy_(value)
             for key in RECORDED:
                 row[key].copy_(env.value_of(key))
-            out = env.advance(action)
+            try:
+                out = env.advance(action)
+            except NumericalError:
+                require_finite(batch[:t], self._terminal, env, self.statistics)
+                raise
             for name in ("reward", "terminated", "truncated", "done", "reward_terms"):
                 row[name].copy_(getattr(out, name))
             self.statistics.step(t, out, env.value_of(keys.SCENE_INDEX), env.flown_difficulties)
@@ -206,6 +215,7 @@ class Ppo:
                 self._terminal.append((t, rows, out.observation[rows]))
                 env.restart(rows)
                 self._note_starts(self.statistics.start_step + t + 1, rows)
+        require_finite(batch, self._terminal, env, self.statistics)
         if self.renew_scenes:
             self._renew()
 
@@ -260,7 +270,9 @@ class Ppo:
         policy, value, entropy, kl, clipped = (sums / count).tolist()
         if not policy + value < float("inf"):
             raise NumericalError(
-                "The loss is not finite; lower algorithm.learning_rate or algorithm.reward_scale."
+                "The loss is not finite, though all that was flown is, with "
+                f"{largest_reward(self.batch, self.env.stages)}; lower algorithm.learning_rate or "
+                "algorithm.reward_scale."
             )
         return {
             "loss/policy": policy,

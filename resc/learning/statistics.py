@@ -84,6 +84,20 @@ class EpisodeStatistics:
         complete["success"] = complete["outcome"] == 0
         return complete
 
+    def begun_at(self, row: int, steps: int, flown: int) -> int:
+        """First step in the run of the episode that had flown at `steps` of this batch's `flown`.
+
+        Where one had just ended there, that one.
+        """
+        last = self.start_step + max(steps - 1, 0)
+        for part in self.finished:
+            own = (
+                (part["env_id"] == row) & (part["start_step"] <= last) & (part["end_step"] >= last)
+            )
+            if own.any():
+                return int(part["start_step"][own][0])
+        return self.start_step + flown - int(self.lengths[row])
+
     def rates(self) -> dict[str, float]:
         """Share of each outcome, mean return and length over the last finished episodes.
 

@@ -1,8 +1,11 @@
 """Random generators by seed and name: removing one part does not reshuffle another."""
 
 import hashlib
+import numbers
 
 import torch
+
+from resc.errors import ConfigError
 
 # fmt: off
 ERFINV_CENTRE = (
@@ -17,9 +20,21 @@ ERFINV_TAIL = (
 
 
 def generator_for(seed: int, path: str, device: torch.device | str = "cpu") -> torch.Generator:
-    """The generator of the part at configuration path `path`."""
+    """The generator of the part at configuration path `path`.
+
+    Raises:
+        ConfigError: The seed is no whole number from 0 to 2^63 - 1.
+    """
+    require_seed(seed)
     digest = hashlib.sha256(f"{seed}/{path}".encode()).digest()
     return torch.Generator(device=device).manual_seed(int.from_bytes(digest[:8], "little") >> 1)
+
+
+def require_seed(seed: int) -> None:
+    """Raises ConfigError for what some of the generators behind a run would not take."""
+    whole = isinstance(seed, numbers.Integral) and not isinstance(seed, bool)
+    if not whole or not 0 <= seed < 2**63:
+        raise ConfigError(f"seed is {seed!r}; expected a whole number from 0 to 2^63 - 1.")
 
 
 def gaussian(unit: torch.Tensor) -> torch.Tensor:
