@@ -105,10 +105,23 @@ def iqm_over_arrivals(
 
 
 def estimate(value: float, samples: Float[np.ndarray, " d"]) -> Estimate:
-    """The value with the middle 95 % of its bootstrap samples."""
+    """The value with the middle 95 % of its bootstrap samples; samples of nothing are NaN.
+
+    An infinite sample stands at its end, so a limit beyond the finite samples is infinite.
+    """
     tail = (1 - LEVEL) / 2
-    low, high = np.nanquantile(samples, (tail, 1 - tail))
-    return Estimate(value, float(low), float(high))
+    ordered = np.sort(samples[~np.isnan(samples)])
+    if not len(ordered):
+        return Estimate(value, np.nan, np.nan)
+    return Estimate(value, _quantile(ordered, tail), _quantile(ordered, 1 - tail))
+
+
+def _quantile(ordered: Float[np.ndarray, " d"], share: float) -> float:
+    """Linear between neighbours as numpy's, where inf - inf would be NaN."""
+    lower, upper = np.floor(share * (len(ordered) - 1)), np.ceil(share * (len(ordered) - 1))
+    low, high = float(ordered[int(lower)]), float(ordered[int(upper)])
+    weight = share * (len(ordered) - 1) - lower
+    return low if low == high or weight == 0 else low + (high - low) * float(weight)
 
 
 def generator(seed: int, *names: str) -> Rng:

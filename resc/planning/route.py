@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import hypot
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -34,6 +35,9 @@ class RoutePlanner:
         nominal_m: Distance aimed at on long lines.
         rule: How control points are placed; `released` imitates the released code.
         resolution_m: Edge of a map cell; comes from the environment.
+        arrival_radius_m: Horizontal distance from the goal at which a flight counts as arrived;
+            comes from the task. No flight may begin there; 0 allows all.
+        arrival_half_height_m: The vertical one; null where the distance counts in space.
     """
 
     def __init__(
@@ -45,6 +49,8 @@ class RoutePlanner:
         nominal_m: Positive,
         rule: str = "visible",
         resolution_m: float,
+        arrival_radius_m: float = 0.0,
+        arrival_half_height_m: float | None = None,
     ) -> None:
         if max_expansions < 1:
             raise ConfigError(f"max_expansions is {max_expansions}; expected at least 1.")
@@ -58,6 +64,7 @@ class RoutePlanner:
         self.spacing_m = (float(spacing_m[0]), float(spacing_m[1]))
         self.nominal_m = float(nominal_m)
         self.rule: Literal["visible", "released"] = rule
+        self.arrival_m = (arrival_radius_m, arrival_half_height_m)
         self.paths: list[PlannedPath] = []
         self._maps: dict[bytes, PreparedMap] = {}
 
@@ -65,8 +72,8 @@ class RoutePlanner:
         """The same scenes with routes; a route that is already there is replaced.
 
         Raises:
-            PlanningError: A start or goal lies outside the map or in an obstacle, or no path joins
-                them; says which scene.
+            PlanningError: A start or goal lies outside the map or in an obstacle, they are so near
+                that the flight begins arrived, or no path joins them; says which scene.
         """
         self.paths, routes = [], []
         for number in range(len(layout)):
@@ -86,6 +93,7 @@ class RoutePlanner:
         start = layout.start_w[number].tolist()
         goal = layout.route_w[number, max(0, int(layout.route_length[number, 0]) - 1)].tolist()
         origin = tuple(layout.origin_w[number].tolist())
+        self._require_apart(start, goal)
         path = self.search.plan(prepared, (start[0], start[1]), (goal[0], goal[1]), origin)
         self._require_found(path, start, goal)
         points = control_points(
@@ -99,6 +107,21 @@ class RoutePlanner:
             rule=self.rule,
         )
         return path, torch.as_tensor(points, dtype=torch.float32)
+
+    def _require_apart(self, start: list[float], goal: list[float]) -> None:
+        """A flight that has arrived before it begins would count as a success of nothing."""
+        radius, half_height = self.arrival_m
+        rise = abs(goal[2] - start[2])
+        far = hypot(goal[0] - start[0], goal[1] - start[1])
+        if half_height is None:
+            far, rise, half_height = hypot(far, rise), 0.0, 0.0
+        if radius and far <= radius and rise <= half_height:
+            above = f", {rise:g} m above or below," if half_height else ""
+            raise PlanningError(
+                f"Start {_shown(start)} m is {far:g} m{above} from the goal {_shown(goal)} m, and "
+                f"within {radius:g} m a flight counts as arrived; move them apart or lower "
+                "task.control_points.radius_m."
+            )
 
     def _require_found(self, path: PlannedPath, start: list[float], goal: list[float]) -> None:
         ends = f"from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) m"
@@ -133,4 +156,21 @@ def planner_for(config: Mapping[str, Any]) -> RoutePlanner | None:
         return None
     allowed = config.get("allowed_targets", ())
     resolution = config["env"]["resolution_m"]
-    return build(config["search"], "search", allowed=allowed, resolution_m=resolution)
+    task = (config.get("task") or {}).get("control_points") or {}
+    return build(
+        config["search"],
+        "search",
+        allowed=allowed,
+        resolution_m=resolution,
+        arrival_radius_m=_number(task.get("radius_m")) or 0.0,
+        arrival_half_height_m=_number(task.get("half_height_m")),
+    )
+
+
+def _number(value: object) -> float | None:
+    """A task's number; what is none is told when the task is built."""
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _shown(point: Sequence[float]) -> str:
+    return f"({', '.join(f'{value:g}' for value in point)})"

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 from resc.evaluation.bootstrap import (
     NOTHING,
+    Estimate,
     estimate,
     generator,
     improvement,
@@ -116,3 +117,27 @@ def test_interval_covers_the_truth_about_as_often_as_it_says():
         made = estimate(success.mean(), sample.mean((1, 2)))
         hits += made.low <= 0.7 <= made.high
     assert 0.88 <= hits / repetitions <= 1.0
+
+
+def test_infinite_times_give_infinite_limits_and_none_that_is_not_a_number():
+    some = np.array([1.0] * 90 + [np.inf] * 10)
+    assert estimate(1.0, some) == Estimate(1.0, 1.0, np.inf)
+    assert estimate(np.inf, np.full(50, np.inf)) == Estimate(np.inf, np.inf, np.inf)
+    between = np.array([0.0, 1.0, 2.0, np.inf])
+    assert estimate(1.5, between).high == np.inf
+    assert np.isnan(estimate(np.nan, np.full(4, np.nan)).low)
+
+
+def test_arrival_times_of_which_some_are_infinite_have_limits():
+    times = np.array([[4.0, 5.0, np.inf, 6.0], [4.0, np.inf, np.inf, 7.0]])
+    arrived = np.ones_like(times, dtype=bool)
+    rng = np.random.default_rng(0)
+    found = iqm_over_arrivals(times, arrived, runs=rng, scenes=rng, draws=200)
+    assert not np.isnan([found.value, found.low, found.high]).any()
+    assert found.low < found.high == np.inf
+
+
+def test_limits_of_finite_samples_are_numpys_quantiles():
+    samples = np.random.default_rng(3).normal(size=333)
+    found = estimate(0.0, samples)
+    assert_allclose([found.low, found.high], np.quantile(samples, [0.025, 0.975]), rtol=1e-12)

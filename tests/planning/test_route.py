@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from resc.build import build_pool
 from resc.errors import ConfigError, PlanningError
 from resc.math.geometry import box_distance
 from resc.math.sampling import generator_for
@@ -126,3 +127,38 @@ def test_configuration_without_search_has_no_planner(compose):
     config = compose()
     assert isinstance(planner_for(config), RoutePlanner)
     assert planner_for({**config, "search": {}}) is None
+
+
+ARRIVAL = {"arrival_radius_m": 0.5, "arrival_half_height_m": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("goal_m", "arrival"),
+    [
+        ([1.0, 1.0, 1.0], ARRIVAL),
+        ([1.3, 1.35, 1.15], ARRIVAL),
+        ([1.0, 1.0, 1.4], {**ARRIVAL, "arrival_half_height_m": None}),
+    ],
+)
+def test_a_flight_that_would_begin_at_its_goal_is_refused_with_the_numbers(goal_m, arrival):
+    planner = RoutePlanner(**SETTINGS, resolution_m=0.1, **arrival)
+    with pytest.raises(
+        PlanningError,
+        match=r"^yard, flight 0: Start \(1, 1, 1\) m is .* m.* from the goal \(1.*within 0\.5 m a "
+        "flight counts as arrived; move them apart",
+    ):
+        planner(layout_of(goal_m=goal_m), "yard")
+
+
+@pytest.mark.parametrize("goal_m", [[1.0, 1.0, 1.3], [1.6, 1.0, 1.0]])
+def test_goals_just_beyond_the_arrival_distance_are_planned_for(goal_m):
+    planned = RoutePlanner(**SETTINGS, resolution_m=0.1, **ARRIVAL)(layout_of(goal_m=goal_m))
+    assert int(planned.route_length) == 1
+
+
+def test_the_tasks_own_distance_counts(compose):
+    config = compose("scene=paper1_map11", "scene.goal_m=[1.0,2.3,1.0]")
+    with pytest.raises(PlanningError, match=r"goal \(1, 2\.3, 1\) m, and within 0\.5 m"):
+        build_pool(config, size=2, seed=0, plan=planner_for(config))
+    config["task"]["control_points"]["radius_m"] = 0.1
+    build_pool(config, size=2, seed=0, plan=planner_for(config))
