@@ -103,8 +103,8 @@ def fly(
     log = None if recorder is None else FlightLog(recorder, env)
     over = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=env.device)
     outcome, steps, counted = (torch.zeros_like(over, dtype=torch.int64) for _ in range(3))
-    traces = [_state_of(env)]
-    with tqdm(total=env.num_envs, unit="flight", disable=None, leave=False) as bar:
+    traces, dt_s = [_state_of(env)], env.stages.context.dt_s
+    with tqdm(total=env.num_envs, desc="flying", unit="flight", leave=False) as bar:
         while not over.all():
             # A row that waits hovers: its state is put back, but must stay finite until then.
             action = torch.where(over, 0.0, policy(observation))
@@ -122,6 +122,7 @@ def fly(
             over = over | ended
             if trace:
                 traces.append(_state_of(env))
+            bar.set_postfix_str(f"{int(steps.max()) * dt_s:.1f} s flown", refresh=False)
             bar.update(int(ended.sum()))
     if log is not None:
         log.flush()
@@ -133,7 +134,7 @@ def fly(
         collided=_is_collision(env)[outcome[:, 0].cpu()],
         steps=steps[:, 0].cpu(),
         counted=counted[:, 0].cpu(),
-        dt_s=env.stages.context.dt_s,
+        dt_s=dt_s,
         metrics=metrics,
         position_w=position,
         velocity_w=velocity,

@@ -19,12 +19,13 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from resc.build import build, load_config
+from resc.command_line import command
 from resc.envs.quadrotor import layout_of
 from resc.envs.stages import Stages
 from resc.errors import CheckpointError
 from resc.learning.networks import Networks
 from resc.learning.ppo import Ppo
-from resc.run_folder import CONFIG, POLICY
+from resc.run_folder import CHECKPOINT, CONFIG, POLICY
 
 Layout = tuple[tuple[str, int], ...]
 ACTION_WIDTH = 4
@@ -110,7 +111,7 @@ def load_policy(
     folder = Path(folder)
     if not (folder / POLICY).exists():
         raise CheckpointError(
-            f"{folder} holds no {POLICY}; give the folder of a finished run, or policies/obstacles."
+            f"{folder} holds no {POLICY}; {_where_else(folder)}, or policies/obstacles."
         )
     content = read(folder / POLICY, ("head", "layout"))
     config = load_config(folder / CONFIG)
@@ -128,6 +129,20 @@ def load_policy(
         networks.head.load_state_dict(content["head"])
         networks.normalization.load_state_dict(content.get("normalization", {}))
     return Policy(networks.policy.to(device).eval(), layout, config)
+
+
+def _where_else(folder: Path) -> str:
+    """Which folder to give instead of one that holds no policy."""
+    if run := next(iter(sorted(folder.glob(f"[0-9]*/{POLICY}"))), None):
+        return f"it is a sweep's: give one of its runs, such as {run.parent}"
+    if (folder / CONFIG).exists() and "total_frames" not in load_config(folder / CONFIG):
+        return (
+            "it is an evaluation's: give policy=latest for the last training, the folder of a run"
+        )
+    if (folder / CHECKPOINT).exists():
+        again = command("train.py", {"resume": folder})
+        return f"its training was killed: go on with {again}, or give the folder of another run"
+    return "give the folder of a finished run"
 
 
 @contextmanager

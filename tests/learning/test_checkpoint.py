@@ -119,3 +119,36 @@ def test_stored_config_that_is_none_is_refused(folder, text):
     (folder / CONFIG).write_text(text)
     with pytest.raises(ConfigError, match="restore it from its run"):
         load_policy(folder)
+
+
+def test_folder_without_a_policy_says_which_one_to_give(folder):
+    policy, checkpoint = folder / POLICY, folder / "checkpoint.pt"
+    policy.rename(checkpoint)
+    with pytest.raises(CheckpointError, match="its training was killed: go on with python train"):
+        load_policy(folder)
+    (folder / "0").mkdir()
+    checkpoint.rename(folder / "0" / POLICY)
+    with pytest.raises(CheckpointError, match=r"give one of its runs, such as .*/0"):
+        load_policy(folder)
+    (folder / "0" / POLICY).unlink()
+    (folder / CONFIG).write_text("flights: 3")
+    with pytest.raises(CheckpointError, match="it is an evaluation's: give policy=latest"):
+        load_policy(folder)
+
+
+@pytest.mark.parametrize("content", [b"trash", b"", b"\x80\x02.", b"PK\x03\x04"])
+def test_foreign_bytes_are_one_sentence(folder, trainer, content):
+    for name in (POLICY, "checkpoint.pt"):
+        (folder / name).write_bytes(content)
+    with pytest.raises(CheckpointError, match="cannot be read"):
+        load_policy(folder)
+    with pytest.raises(CheckpointError, match="cannot be read"):
+        load_checkpoint(folder / "checkpoint.pt", trainer)
+
+
+def test_weights_of_another_network_are_one_short_sentence(folder):
+    text = (folder / CONFIG).read_text()
+    (folder / CONFIG).write_text(text.replace("- 16\n", "- 24\n"))
+    with pytest.raises(CheckpointError) as raised:
+        load_policy(folder)
+    assert str(raised.value).endswith("(its networks are others); restore both from one run.")
