@@ -28,11 +28,11 @@ class Within:
         above: Whether the least is excluded.
     """
 
-    low: float
-    high: float = LARGEST
+    low: int | float
+    high: int | float = LARGEST
     above: bool = False
 
-    def admits(self, value: float) -> bool:
+    def admits(self, value: int | float) -> bool:
         """Whether the number is within the bounds."""
         return self.low <= value <= self.high and not (self.above and value == self.low)
 
@@ -41,15 +41,15 @@ class Within:
         return f"a number {'above' if self.above else 'from'} {self.low:g}, up to {self.high:g}"
 
 
-Positive = Annotated[float, Within(0.0, above=True)]
-NotNegative = Annotated[float, Within(0.0)]
+Positive = Annotated[float, Within(0, above=True)]
+NotNegative = Annotated[float, Within(0)]
 Number = Annotated[float, Within(-LARGEST)]
-Share = Annotated[float, Within(0.0, 1.0)]
-Angle = Annotated[float, Within(0.0, 2 * math.pi)]
+Share = Annotated[float, Within(0, 1)]
+Angle = Annotated[float, Within(0, 2 * math.pi)]
 """An amount in radians; sixty of them are meant to be degrees."""
-Count = Annotated[int, Within(1.0, 1000.0)]
+Count = Annotated[int, Within(1, 1000)]
 """Of things that there are at least one of, within one step of one environment."""
-CountOrNone = Annotated[int, Within(0.0, 1000.0)]
+CountOrNone = Annotated[int, Within(0, 1000)]
 
 
 def checked(path: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - of any type

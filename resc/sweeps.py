@@ -84,7 +84,7 @@ class Slurm:
         *,
         cluster: str,
         folder: str,
-        timeout_min: Annotated[int, Within(1.0)],
+        timeout_min: Annotated[int, Within(1)],
         cpus_per_task: Count,
         mem_gb: Positive,
         array_parallelism: Count,

@@ -31,8 +31,8 @@ class Context:
         history: Steps that an observation shows when it does not say itself.
     """
 
-    dt_s: Annotated[float, Within(0.0, 1.0, above=True)]
-    resolution_m: Annotated[float, Within(0.001, 10.0)]
+    dt_s: Annotated[float, Within(0, 1, above=True)]
+    resolution_m: Annotated[float, Within(0.001, 10)]
     vehicle: Any
     observation_frame: str = "world"
     history: Count = 1

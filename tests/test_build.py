@@ -1,3 +1,4 @@
+import re
 import sys
 
 import pytest
@@ -115,7 +116,7 @@ def test_a_range_of_other_than_two_numbers_is_refused(thrust_range_g):
 
 def test_what_an_object_refuses_is_reported_with_its_path(load_part):
     node = {**load_part("vehicle", "imp250"), "mass_kg": -1.0}
-    refused(node, r"^vehicle: mass_kg is -1\.0; expected a number above zero", path="vehicle")
+    refused(node, r"^vehicle\.mass_kg is -1\.0; expected a number above 0", path="vehicle")
 
 
 @pytest.mark.parametrize(
@@ -189,7 +190,7 @@ def test_observations_follow_the_layout_whatever_the_order_of_the_configuration(
 
 @pytest.mark.parametrize("override", ["env.dt_s=0.0", "env.dt_s=-0.02", "env.resolution_m=0.0"])
 def test_impossible_periods_and_cells_are_refused(compose, override):
-    with pytest.raises(ConfigError, match=override.split("=")[0].replace("env.", "env: ")):
+    with pytest.raises(ConfigError, match=re.escape(override.split("=")[0])):
         build_stages(compose(override))
 
 

@@ -42,7 +42,7 @@ def start(script, *overrides):
             "reward=[paper2024,progress]",
             "reward.progress is defined by reward/progress, listed twice; keep one",
         ),
-        ("vehicle.mass_kg=-1", "vehicle: mass_kg is -1.0; expected a number above zero."),
+        ("vehicle.mass_kg=-1", "vehicle.mass_kg is -1.0; expected a number above 0"),
     ],
 )
 def test_wrong_override_of_training_gets_one_sentence_and_a_failing_status(

@@ -114,7 +114,7 @@ class Networks:
 
 def build_networks(
     *,
-    hidden: Sequence[Annotated[int, Within(1.0, 10_000.0)]],
+    hidden: Sequence[Annotated[int, Within(1, 10_000)]],
     activation: str = "tanh",
     initial_std: Positive = 0.6,
     normalization: str = "none",

@@ -55,8 +55,8 @@ class PpoSettings:
             does.
     """
 
-    steps: Annotated[int, Within(1.0)]
-    minibatch: Annotated[int, Within(1.0, 1e9)]
+    steps: Annotated[int, Within(1)]
+    minibatch: Annotated[int, Within(1, 1e9)]
     epochs: Count
     learning_rate: Positive
     final_learning_rate: NotNegative

@@ -44,7 +44,7 @@ class RoutePlanner:
         self,
         *,
         clearance_m: NotNegative,
-        max_expansions: Annotated[int, Within(1.0, 1e9)],
+        max_expansions: Annotated[int, Within(1, 1e9)],
         spacing_m: Sequence[Positive],
         nominal_m: Positive,
         rule: str = "visible",

@@ -55,7 +55,7 @@ class TrainingScene:
         height_m: Positive = 1.0,
         height_spread_m: NotNegative = 0.1,
         boxes: CountOrNone = 16,
-        proposals: Annotated[int, Within(1.0, 100_000.0)] = 120,
+        proposals: Annotated[int, Within(1, 100_000)] = 120,
         side_m: Sequence[Positive] = (0.2, 0.8),
         walls: Share = 0.3,
         wall_m: Sequence[Positive] = (1.0, 4.0),

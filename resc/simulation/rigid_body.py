@@ -55,7 +55,7 @@ class RigidBody(Term):
     def __init__(
         self,
         *,
-        substeps: Annotated[int, Within(1.0, 100.0)] = 2,
+        substeps: Annotated[int, Within(1, 100)] = 2,
         rotor_time_constant_s: NotNegative = 0.0,
         drag_1ps: NotNegative = 0.0,
     ) -> None:

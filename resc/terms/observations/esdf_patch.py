@@ -34,7 +34,7 @@ class EsdfPatch(MapObservation):
     def __init__(
         self,
         *,
-        side: Annotated[int, Within(1.0, 100.0)] = 3,
+        side: Annotated[int, Within(1, 100)] = 3,
         spacing_m: Positive = 0.1,
         alignment: str | None = None,
         **options: Unpack[MapOptions],
