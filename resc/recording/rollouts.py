@@ -63,6 +63,7 @@ def open_recorder(
     return build(
         config["recorder"],
         "recorder",
+        allowed=config["allowed_targets"],
         directory=directory,
         columns=rollout_columns(stages),
         dt_s=float(config["env"]["dt_s"]),
