@@ -7,7 +7,10 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from resc.build import nearest
 from resc.command_line import command
@@ -31,6 +34,21 @@ TASK = ("control_points", "initial_state")
 """What a task is made of."""
 RESUMABLE = ("total_frames", "threads", "checkpoint_every_s", "allowed_targets")
 """Settings that a resumed run takes from its command line; all others are the run's own."""
+
+
+def typed(stored: DictConfig, schema: type[RunSchema], path: Path) -> DictConfig:
+    """A stored configuration with the types of its schema, checked like one from a command line.
+
+    Raises:
+        ConfigError: A setting is unknown, of another type or out of range.
+    """
+    try:
+        config = cast(DictConfig, OmegaConf.merge(OmegaConf.structured(schema), stored))
+    except OmegaConfBaseException as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"{path}: {reason}; restore it from its run.") from None
+    check_settings(config, schema)
+    return config
 
 
 def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
@@ -68,19 +86,23 @@ def _refuse_unknown(given: Iterable[str], known: Iterable[str], prefix: str) -> 
 def honoured(overrides: Sequence[str], made_with: Sequence[str], folder: Path) -> list[str]:
     """Names of the settings that the overrides of a resumed run change.
 
-    Overrides that the run was made with change nothing; hydra's own say nothing of the run.
+    Other overrides that the run was made with may be given again.
 
     Raises:
         ConfigError: An override would change what the run is; all such are named.
     """
     keys = {text: text.lstrip("+~").partition("=")[0] for text in overrides}
-    new = {text: key for text, key in keys.items() if text not in made_with and key != "resume"}
-    if foreign := [text for text, key in new.items() if key not in RESUMABLE]:
+    foreign = [
+        text
+        for text, key in keys.items()
+        if key not in (*RESUMABLE, "resume") and text not in made_with
+    ]
+    if foreign:
         raise ConfigError(
             f"{', '.join(foreign)}: a resumed run keeps what it was made with, and takes only "
             f"{', '.join(RESUMABLE)} anew. Go on with: {command('train.py', {'resume': folder})}"
         )
-    return list(new.values())
+    return [key for key in keys.values() if key in RESUMABLE]
 
 
 def listed(value: Any) -> list[str]:  # noqa: ANN401 - as a configuration holds it

@@ -100,6 +100,29 @@ def test_overrides_that_the_run_was_made_with_may_be_repeated(compose, finished)
     assert go_on(compose, finished, *RUN)["seed"] == 0
 
 
+def test_budget_that_was_given_at_first_does_not_shorten_a_lengthened_run(compose, own):
+    longer = go_on(compose, own, "total_frames=512")
+    OmegaConf.save(longer, own / "config.yaml")
+    with pytest.raises(ConfigError, match="can only be lengthened"):
+        go_on(compose, own, f"total_frames={BUDGET}")
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("seed: high", "Value 'high' of type 'str' could not be converted to Integer"),
+        ("num_envs: -3", "num_envs is -3"),
+        ("foo: 1", "Key 'foo' not in 'TrainSchema'"),
+    ],
+)
+def test_damaged_configuration_is_one_sentence(compose, own, line, sentence):
+    stored = (own / "config.yaml").read_text().splitlines()
+    kept = [text for text in stored if not text.startswith(line.partition(":")[0])]
+    (own / "config.yaml").write_text("\n".join([*kept, line]))
+    with pytest.raises(ConfigError, match=sentence):
+        go_on(compose, own)
+
+
 def test_threads_and_checkpoints_of_a_resumed_run_are_those_of_the_command_line(compose, finished):
     config = go_on(compose, finished, "checkpoint_every_s=5", "threads=2")
     assert (config["checkpoint_every_s"], config["threads"]) == (5.0, 2)

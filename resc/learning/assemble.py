@@ -27,7 +27,7 @@ from resc.run_folder import (
     sweep_of,
 )
 from resc.schema import TrainSchema
-from resc.settings import check_settings, honoured
+from resc.settings import check_settings, honoured, typed
 from resc.term import Curriculum
 
 CLOSED_BATCHES = 4
@@ -100,7 +100,7 @@ def resumed(config: DictConfig, overrides: Sequence[str], folder: Path) -> DictC
     stored = load_config(folder / CONFIG)
     if "total_frames" not in stored:
         raise ConfigError(f"{folder} holds no training run; give the folder of one.")
-    check_settings(stored, TrainSchema)
+    stored = typed(stored, TrainSchema, folder / CONFIG)
     made_with = json_of(folder / ORIGIN).get("overrides", ())
     changed = honoured(overrides, made_with, folder)
     if "total_frames" in changed:
