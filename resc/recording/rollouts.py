@@ -95,11 +95,12 @@ def start_arrays(
     """Arrays of `/starts` from (first step, rows [k], their world): one entry per episode begun."""
     if not starts:
         return {}
-    steps = [torch.full_like(rows, step) for step, rows, _ in starts]
+    rows = [rows.cpu() for _, rows, _ in starts]  # the first ones are, whatever the device
+    steps = [torch.full_like(part, step) for part, (step, *_) in zip(rows, starts, strict=True)]
     worlds = [world for *_, world in starts]
     return {
-        "env_id": torch.cat([rows for _, rows, _ in starts]).cpu(),
-        "step": torch.cat(steps).cpu(),
+        "env_id": torch.cat(rows),
+        "step": torch.cat(steps),
         **{".".join(key): torch.cat([world[key] for world in worlds]) for key in worlds[0]},
     }
 
