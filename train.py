@@ -16,7 +16,6 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
-from resc.command_line import command
 from resc.console import logged
 from resc.launch import answering, launch, refuse_doubles
 from resc.learning.assemble import (
@@ -28,6 +27,7 @@ from resc.learning.assemble import (
 )
 from resc.learning.progress import describe
 from resc.learning.training import train_and_save
+from resc.origin import note_origin
 from resc.process import prepare_process
 from resc.run_folder import (
     CONFIG,
@@ -38,10 +38,9 @@ from resc.run_folder import (
     put_aside,
     succeeded,
     summary_of,
-    sweep_of,
 )
 from resc.settings import check_settings
-from resc.sweeps import note_origin
+from resc.sweep_folder import go_on
 
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="train")
@@ -77,7 +76,7 @@ def run(config: DictConfig, folder: Path, overrides: Sequence[str]) -> None:
     with logged(folder / "train.log"):
         print(describe(trainer.env.stages), flush=True)
         summary = train_and_save(trainer, config, folder, overrides)
-        again = command("train.py", {"resume": sweep_of(folder) or folder})
+        again = go_on(folder, config["allowed_targets"])
         if trainer.frames < config["total_frames"]:
             sys.exit(f"Stopped after {trainer.frames} frames. Go on with: {again}")
         try:

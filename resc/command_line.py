@@ -2,10 +2,10 @@
 
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-Value = str | Path | int | float | None
+Value = str | Path | int | float | None | Sequence[str]
 
 _PLAIN = re.compile(r"[A-Za-z0-9_./-]*/[A-Za-z0-9_./-]*")
 """A text that Hydra reads as itself: with a slash it is no number, no truth value, no null."""
@@ -17,6 +17,8 @@ def override(key: str, value: Value) -> str:
     """`key=value` as an argument of one of the scripts: Hydra reads exactly this value."""
     if isinstance(value, str | Path):
         return f"{key}={_quoted(str(value))}"
+    if isinstance(value, Sequence):
+        return f"{key}=[{','.join(map(_quoted, value))}]"
     return f"{key}={'null' if value is None else str(value).lower()}"
 
 

@@ -6,26 +6,32 @@ Imports no torch: processes of SLURM and Ray that wait for a run begin at once, 
 
 import fcntl
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from resc.command_line import override, shell
+from resc.errors import ConfigError
 from resc.run_folder import (
     CHECKPOINT,
+    CLAIM,
     CONFIG,
     FAILURE,
     JOB,
     is_finished,
     summary_of,
 )
+from resc.sweep_folder import PERMISSION, begun_as, difference, require_as_begun
 
 SCRIPT = Path(__file__).parents[1] / "train.py"
-LOG = "log.txt"
+LOG, LOCK = "log.txt", ".lock"
 STOPPED = "Stopped after"
 """How train.py's last line begins when it was asked to stop."""
 LINES = 40
@@ -34,13 +40,35 @@ LINES = 40
 Status = Literal["finished", "failed", "stopped", "busy"]
 
 
+def interpreter() -> tuple[str, ...]:
+    """This interpreter and the flags it was started with, such as -O."""
+    flags = subprocess._args_from_interpreter_flags()  # pyright: ignore[reportAttributeAccessIssue]
+    return (sys.executable, *flags)
+
+
 @dataclass(frozen=True)
 class Job:
-    """One run of a sweep: its folder, named by its number, and the overrides that make it."""
+    """One run of a sweep: its folder, named by its number, and all that makes it.
+
+    Args:
+        folder: Of the run.
+        overrides: What sets it apart from the configuration that the sweep starts from.
+        script: What is run.
+        options: What else the command says: where configurations are, settings of Hydra.
+        config: What all of this composes to; empty if it is not known.
+        environment: Variables that the run gets beside those of the process that starts it.
+        directory: Where the command is run.
+        python: The interpreter and its flags.
+    """
 
     folder: Path
     overrides: tuple[str, ...]
     script: Path = SCRIPT
+    options: tuple[str, ...] = ()
+    config: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    environment: Mapping[str, str] = field(default_factory=dict, compare=False)
+    directory: Path = field(default_factory=Path.cwd)
+    python: tuple[str, ...] = field(default_factory=interpreter)
 
     @property
     def name(self) -> str:
@@ -53,13 +81,67 @@ class Job:
         return is_finished(self.folder)
 
     @property
+    def begun(self) -> bool:
+        """Whether there is something to go on from."""
+        return all((self.folder / name).exists() for name in (CHECKPOINT, CONFIG))
+
+    @property
     def command(self) -> list[str]:
-        """What runs it, from its checkpoint where there is one."""
-        command = [sys.executable, str(self.script), *self.overrides]
-        command.append(override("hydra.run.dir", self.folder))
-        if all((self.folder / name).exists() for name in (CHECKPOINT, CONFIG)):
-            command.append(override("resume", self.folder))
-        return command
+        """What runs it, from its checkpoint where there is one.
+
+        A run that goes on has its configuration in its folder; only what a folder cannot permit is
+        said again.
+        """
+        what = [*self.overrides]
+        if self.begun:
+            allowed = self.config.get(PERMISSION)
+            what = [override(PERMISSION, allowed)] if allowed else []
+            what.append(override("resume", self.folder))
+        into = override("hydra.run.dir", self.folder)
+        return [*self.python, str(self.script), *self.options, *what, into]
+
+    def require_ours(self) -> None:
+        """Refuses a folder that holds something else than this job's run.
+
+        Raises:
+            ConfigError: It names what is there.
+        """
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ConfigError(f"{self.folder} is a file, where a run's folder goes; move it away.")
+        if not (self.folder / JOB).exists():
+            foreign = set(os.listdir(self.folder)) if self.folder.exists() else set()
+            if foreign := foreign - {LOG, LOCK, CLAIM, FAILURE}:
+                raise ConfigError(
+                    f"{self.folder} holds {min(foreign)}, but no run of a sweep; move it away, or "
+                    "choose another folder with hydra.sweep.dir."
+                )
+            return
+        theirs = begun_as(self.folder)
+        if theirs.overrides != self.overrides:
+            raise ConfigError(
+                f"{self.folder} holds the run '{' '.join(theirs.overrides)}', but job {self.name} "
+                f"of this sweep is '{' '.join(self.overrides)}'; the study has changed: start a "
+                "new sweep."
+            )
+        if theirs.config and self.config and (found := difference(theirs.config, self.config)):
+            name, before, now = found
+            raise ConfigError(
+                f"{self.folder} holds a run with {name}: {before}, but now the same overrides make "
+                f"it {now}; the configuration files have changed: start a new sweep."
+            )
+        require_as_begun(self.folder)
+
+    def begin(self) -> None:
+        """Writes down what the run is; what an earlier try left without a checkpoint goes."""
+        (self.folder / FAILURE).unlink(missing_ok=True)
+        if not self.begun:
+            for path in self.folder.iterdir():
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                elif path.name not in (LOG, LOCK, CLAIM):
+                    path.unlink()
+        begun = {"overrides": self.overrides, "config": self.config}
+        (self.folder / JOB).write_text(json.dumps(begun, indent=2) + "\n")
 
 
 @dataclass(frozen=True)
@@ -80,8 +162,16 @@ class Runner:
 
     def __call__(self, job: Job) -> Outcome:
         """Runs one job unless it is finished, or being run by another process."""
+        try:
+            return self._alone(job)
+        except OSError as error:
+            reason = f"{error.filename or job.folder}: {error.strerror or error}"
+            return Outcome(job, "failed", f"cannot be run, {reason}")
+
+    def _alone(self, job: Job) -> Outcome:
+        """Runs one job with its folder locked."""
         job.folder.mkdir(parents=True, exist_ok=True)
-        with (job.folder / ".lock").open("w") as lock:
+        with (job.folder / LOCK).open("w") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -99,14 +189,19 @@ class Runner:
         self.stopping = True
 
     def _run(self, job: Job, lock: int) -> Outcome:
-        (job.folder / FAILURE).unlink(missing_ok=True)
-        (job.folder / JOB).write_text(json.dumps({"overrides": job.overrides}, indent=2) + "\n")
+        job.begin()
         began = time.monotonic()
         with (job.folder / LOG).open("ab") as log:
             start = log.tell()
             # The child holds the lock too: it stays taken should this process be killed.
             child = subprocess.Popen(
-                job.command, stdout=log, stderr=log, pass_fds=(lock,), start_new_session=True
+                job.command,
+                cwd=job.directory,
+                env={**os.environ, **job.environment},
+                stdout=log,
+                stderr=log,
+                pass_fds=(lock,),
+                start_new_session=True,
             )
             self.children.add(child)
             try:
@@ -125,10 +220,12 @@ class Runner:
         last = lines[-1] if lines else "nothing was said"
         if last.startswith(STOPPED) or self.stopping:
             return Outcome(job, "stopped", last)
-        reason = last.removeprefix("error: ")
+        reason = next((line for line in reversed(lines) if line.startswith("error: ")), last)
+        reason = reason.removeprefix("error: ")
         if code < 0:
             reason = f"killed by {signal.Signals(-code).name}; perhaps the memory ran out"
-        head = f"{reason}\n\nRun {' '.join(job.overrides)}\nAgain: {shell(*job.command)}\n"
+        again = f"cd {shell(job.directory)} && {shell(*job.command)}"
+        head = f"{reason}\n\nRun {' '.join(job.overrides)}\nAgain: {again}\n"
         (job.folder / FAILURE).write_text("\n".join([head, *lines[-LINES:]]) + "\n")
         return Outcome(job, "failed", reason)
 

@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from hydra import compose, initialize_config_dir
 from hydra._internal.config_repository import ConfigRepository
@@ -20,23 +20,22 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
-from resc.build import load_config, nearest
-from resc.command_line import override
+from resc.build import nearest
+from resc.command_line import override, shell
 from resc.errors import ConfigError, RescError
-from resc.run_folder import CONFIG, LATEST, latest, sweep_of
+from resc.origin import CHANGEABLE, MULTIRUN, OF_ITS_FOLDER, is_among, key_of, return_to
+from resc.run_folder import CONFIG, LATEST, ORIGIN, latest, sweep_of
+from resc.sweep_folder import arguments_of, go_on, is_sweep, permissions
 
 CONF = Path(__file__).parents[1] / "conf"
 LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric")
 """Groups of which a configuration takes several files."""
-SWEEP = "multirun.yaml"
-"""What Hydra leaves in the folder of a sweep."""
 PATHS = ("resume", "policy", "replay")
 """Settings whose value is a path, typed as it is."""
-MULTIRUN = ("-m", "--multirun")
 SHOWING = ("help", "hydra_help", "cfg", "info", "shell_completion")
 """Options of Hydra with which nothing is run."""
-MODE = ("hydra.mode", "hydra.sweep.dir")
 
 
 def launch(main: Callable[[], None], config_name: str) -> None:
@@ -51,15 +50,31 @@ def launch(main: Callable[[], None], config_name: str) -> None:
     )  # Hydra then raises instead of printing and exiting
     with answering():
         try:
+            _refuse_rerun(sys.argv[1:])
             sys.argv[1:] = resumed_sweep(in_its_folder(quoted_paths(sys.argv[1:])))
             show_quietly()
             main()
-        except HydraException as error:
-            raise ConfigError(explain(error, config_name)) from None
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(_own_words(error) or explain(error, config_name)) from None
         except ValueError as error:
             if not str(error).startswith("Only one of --run"):
                 raise
             raise ConfigError(f"{error}; leave out all but one.") from None
+
+
+def _refuse_rerun(arguments: Sequence[str]) -> None:
+    if any(text.startswith("--experimental") for text in arguments):
+        raise ConfigError(
+            "--experimental-rerun does not know the folders of runs; use resume= of train.py, or "
+            "replay= of evaluate.py."
+        )
+
+
+def _own_words(error: BaseException | None) -> str:
+    """The sentence of ours that Hydra has wrapped, if there is one."""
+    while error is not None and not isinstance(error, RescError):
+        error = error.__cause__ or error.__context__
+    return str(error or "")
 
 
 @contextlib.contextmanager
@@ -93,12 +108,12 @@ def in_its_folder(arguments: list[str]) -> list[str]:
         ConfigError: There is no such folder, or it holds neither a run nor a sweep.
     """
     chosen = [text for text in arguments if text.startswith("resume=")]
-    text = _text_of(chosen[-1]) if chosen else "null"
+    text = str(_value_of(chosen[-1])) if chosen else "null"
     if text in ("null", "None"):
         return arguments
     folder = latest("resume", "train", "sweep") if text == LATEST else Path(text).resolve()
     folder = (sweep_of(folder) or folder) if text == LATEST else folder
-    if not any((folder / name).exists() for name in (CONFIG, SWEEP)):
+    if not (is_sweep(folder) or (folder / CONFIG).exists()):
         raise ConfigError(
             f"resume is '{text}', which holds no run and no sweep; give the folder of an "
             "interrupted one."
@@ -106,7 +121,7 @@ def in_its_folder(arguments: list[str]) -> list[str]:
     if any(text.startswith("hydra.run.dir=") for text in arguments):
         return arguments
     rest = [text for text in arguments if text not in chosen]
-    own = [] if (folder / SWEEP).exists() else [override("hydra.run.dir", folder)]
+    own = [] if is_sweep(folder) else [override("hydra.run.dir", folder)]
     return [*rest, override("resume", folder), *own]
 
 
@@ -125,19 +140,34 @@ def show_quietly() -> None:
 def resumed_sweep(arguments: list[str]) -> list[str]:
     """The arguments, or those of the sweep whose folder `resume=` names, into the same folder.
 
-    Other arguments given with `resume=` come last: launcher=joblib.
+    The command that began the sweep is taken up in the directory where it began.
+
+    Raises:
+        ConfigError: Another argument would change what the runs are.
     """
     chosen = [text for text in arguments if text.startswith("resume=")]
-    folder = Path(_text_of(chosen[-1])).resolve() if chosen else None
-    if folder is None or not (folder / SWEEP).exists():
+    folder = Path(str(_value_of(chosen[-1]))).resolve() if chosen else None
+    if folder is None or not is_sweep(folder):
         return arguments
-    hydra = load_config(folder / SWEEP).get("hydra")
-    if hydra is None or "overrides" not in hydra:
-        raise ConfigError(f"{folder / SWEEP} is no sweep's; start a new sweep.")
-    given = [text for text in arguments if text not in chosen and text not in MULTIRUN]
-    keys = {text.partition("=")[0] for text in given}
-    stored = [*hydra["overrides"]["hydra"], *hydra["overrides"]["task"]]
-    kept = [text for text in stored if text.partition("=")[0] not in {*keys, *MODE}]
+    stored = arguments_of(folder)
+    if not stored:
+        raise ConfigError(f"{folder} does not say in {ORIGIN} what began it; start a new sweep.")
+    given = [text for text in arguments if text not in (*chosen, *MULTIRUN)]
+    permitted = permissions(given)
+    given = [text for text in given if text not in permitted]
+    if refused := [text for text in given if not is_among(text, CHANGEABLE)]:
+        raise ConfigError(
+            f"{folder} is a sweep, which goes on as it was begun: leave out {shell(*refused)}; "
+            f"only how it is run can be said anew: {', '.join(CHANGEABLE)}."
+        )
+    if list(map(_value_of, permitted)) != list(map(_value_of, permissions(stored))):
+        raise ConfigError(
+            f"{folder} was begun with other allowed_targets, which a folder cannot permit for you; "
+            f"if you trust it, go on with: {go_on(folder)}"
+        )
+    again = {*map(key_of, given), *OF_ITS_FOLDER, "hydra.sweep.dir"}
+    kept = [text for text in stored if text not in MULTIRUN and key_of(text) not in again]
+    return_to(folder)
     return ["-m", *kept, *given, override("hydra.sweep.dir", folder)]
 
 
@@ -162,9 +192,9 @@ def _quoted_path(argument: str, *, swept: bool) -> str:
     return override(key, value)
 
 
-def _text_of(argument: str) -> str:
-    """The value of an override that is a text, without its quotes."""
-    return str(OverridesParser.create().parse_override(argument).value())
+def _value_of(argument: str) -> Any:  # noqa: ANN401 - any value
+    """The value of an override as Hydra reads it."""
+    return OverridesParser.create().parse_override(argument).value()
 
 
 def refuse_doubles() -> None:
@@ -203,7 +233,7 @@ def files_of_run() -> ConfigRepository:
     return ConfigRepository(search)
 
 
-def explain(error: HydraException, config_name: str) -> str:
+def explain(error: Exception, config_name: str) -> str:
     """What is wrong with the command line, and the nearest names that exist."""
     text = str(error)
     if override := re.search(r"Could not override '([\w.@/]+)'", text):

@@ -174,7 +174,8 @@ def sweep_of(folder: Path) -> Path | None:
 
 def is_finished(folder: Path) -> bool:
     """Whether a run was trained and evaluated to the end."""
-    return (folder / EPISODES).exists() and "success_rate" in summary_of(folder)
+    rate = summary_of(folder).get("success_rate")
+    return (folder / EPISODES).exists() and isinstance(rate, int | float)
 
 
 def summary_of(folder: Path) -> dict[str, Any]:

@@ -6,7 +6,11 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
+from resc.errors import ConfigError
 from resc.run_folder import new_folder
+
+LONGEST_NAME = 200
+"""Of a run [bytes]; file systems allow 255, and the time comes before."""
 
 
 @dataclass
@@ -110,9 +114,26 @@ class EvaluateSchema(RunSchema):
     replay: str | None = None
 
 
+def folder_name(name: object) -> str:
+    """The name of a run, as a part of its folder's name.
+
+    Raises:
+        ConfigError: The folder would lie elsewhere, or no command could name it.
+    """
+    text = str(name)
+    usable = text.isprintable() and "/" not in text and "${" not in text
+    if text in ("", ".", "..") or not usable or len(text.encode()) > LONGEST_NAME:
+        raise ConfigError(
+            f"name is {text!r}; expected part of a folder's name, without a slash or ${{, of at "
+            f"most {LONGEST_NAME} bytes."
+        )
+    return text
+
+
 def register() -> None:
-    """Makes the schemas of train.yaml and evaluate.yaml, and `new_folder`, known to Hydra."""
+    """Makes what train.yaml and evaluate.yaml refer to known to Hydra."""
     OmegaConf.register_new_resolver("new_folder", new_folder, replace=True)
+    OmegaConf.register_new_resolver("folder_name", folder_name, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=TrainSchema)
     store.store(name="evaluate_schema", node=EvaluateSchema)

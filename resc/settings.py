@@ -13,9 +13,9 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from resc.build import nearest
-from resc.command_line import command
 from resc.errors import ConfigError
-from resc.schema import RunSchema
+from resc.schema import RunSchema, folder_name
+from resc.sweep_folder import go_on
 
 LARGEST_SEED = 2**63 - 1
 LEAST: dict[str, int] = {
@@ -72,9 +72,7 @@ def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
         raise ConfigError(
             f"checkpoint_every_s is {config['checkpoint_every_s']}; expected seconds above zero."
         )
-    name = config["name"]
-    if not name or name in (".", "..") or not name.isprintable() or "/" in name:
-        raise ConfigError(f"name is {name!r}; expected part of a folder's name, without a slash.")
+    folder_name(config["name"])
 
 
 def _refuse_unknown(given: Iterable[str], known: Iterable[str], prefix: str) -> None:
@@ -100,7 +98,7 @@ def honoured(overrides: Sequence[str], made_with: Sequence[str], folder: Path) -
     if foreign:
         raise ConfigError(
             f"{', '.join(foreign)}: a resumed run keeps what it was made with, and takes only "
-            f"{', '.join(RESUMABLE)} anew. Go on with: {command('train.py', {'resume': folder})}"
+            f"{', '.join(RESUMABLE)} anew. Go on with: {go_on(folder)}"
         )
     return [key for key in keys.values() if key in RESUMABLE]
 

@@ -6,26 +6,22 @@ torch.compile, and because a run that is killed then takes no other with it.
 
 import contextlib
 import importlib
-import json
 import os
-import platform
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, Protocol, runtime_checkable
 
-from resc.command_line import command, shell
 from resc.errors import ConfigError, SweepError
 from resc.evaluation.ablation import write_report
-from resc.evaluation.study import differing, overrides_of
-from resc.jobs import SCRIPT, Job, Outcome, Runner, Status, run_alone
+from resc.evaluation.study import differing
+from resc.jobs import Job, Outcome, Runner, Status, run_alone
+from resc.origin import claim
 from resc.quantities import Count, Positive, Within
-from resc.run_folder import FAILURE, JOB, ORIGIN
+from resc.run_folder import FAILURE
+from resc.sweep_folder import go_on
 
 POLL_S = 0.5
 
@@ -55,6 +51,8 @@ class Joblib:
     """
 
     def __init__(self, *, n_jobs: int) -> None:
+        if n_jobs < 1 and n_jobs != -1:
+            raise ConfigError(f"n_jobs is {n_jobs}; expected 1 or more, or -1 for one per core.")
         self.n_jobs = n_jobs
 
     def run(self, jobs: Sequence[Job], runner: Runner) -> Iterator[Outcome]:
@@ -107,10 +105,11 @@ class Slurm:
         submitit = needed("submitit", "slurm")
         try:
             executor = submitit.AutoExecutor(folder=self.folder, cluster=self.cluster)
+            executor.update_parameters(**self.settings)
+            waiting = dict(zip(executor.map_array(run_alone, jobs), jobs, strict=True))
         except RuntimeError as error:
-            raise ConfigError(f"launcher=slurm: {error}; is there a SLURM here?") from None
-        executor.update_parameters(**self.settings)
-        waiting = dict(zip(executor.map_array(run_alone, jobs), jobs, strict=True))
+            reason = str(error).strip().splitlines()[0]
+            raise ConfigError(f"launcher=slurm: {reason}; is there a SLURM here?") from None
         while waiting:
             for task in [task for task in waiting if task.done()]:
                 job = waiting.pop(task)
@@ -142,17 +141,24 @@ class Ray:
         num_cpus: Positive = 1,
         cluster_cpus: Count | None = None,
     ) -> None:
+        cores = cluster_cpus if cluster_cpus is not None else os.cpu_count() or 1
+        if address is None and num_cpus > cores:
+            raise ConfigError(f"num_cpus is {num_cpus}, of {cores} in the cluster; ask for fewer.")
         self.address, self.num_cpus, self.cluster_cpus = address, num_cpus, cluster_cpus
 
     def run(self, jobs: Sequence[Job], runner: Runner) -> Iterator[Outcome]:
         """Runs the jobs."""
         ray = needed("ray", "ray")
-        ray.init(
-            address=self.address or "local",
-            num_cpus=None if self.address else self.cluster_cpus,
-            log_to_driver=False,
-            include_dashboard=False,
-        )
+        try:
+            ray.init(
+                address=self.address or "local",
+                num_cpus=None if self.address else self.cluster_cpus,
+                log_to_driver=False,
+                include_dashboard=False,
+            )
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            reason = str(error).strip().splitlines()[0]
+            raise ConfigError(f"launcher=ray: {reason}; is there a cluster?") from None
         try:
             remote = ray.remote(num_cpus=self.num_cpus, max_retries=0)(run_alone)
             waiting = {remote.remote(job): job for job in jobs}
@@ -173,16 +179,24 @@ class Ray:
             ray.shutdown()
 
 
-def run_sweep(jobs: Sequence[Job], backend: Backend) -> list[Outcome]:
+def run_sweep(
+    jobs: Sequence[Job], backend: Backend, *, before: int = 0, total: int | None = None
+) -> list[Outcome]:
     """Runs all jobs but the finished ones; what came of each, in the order of the jobs.
 
+    Args:
+        jobs: Of one sweep.
+        backend: Where and how many at a time.
+        before: Jobs of the sweep that were run before these.
+        total: Jobs of the whole sweep, if these are not all.
+
     Raises:
-        ConfigError: A folder holds another run than its job.
+        ConfigError: A folder holds something else than its job's run.
     """
     for job in jobs:
-        require_same(job)
+        job.require_ours()
     if jobs:
-        note_origin(jobs[0].folder.parent)
+        claim(jobs[0].folder.parent)
     names = dict(zip(jobs, differing([job.overrides for job in jobs]), strict=True))
     runner = Runner()
     outcomes: dict[Job, Outcome] = {}
@@ -190,28 +204,9 @@ def run_sweep(jobs: Sequence[Job], backend: Backend) -> list[Outcome]:
         for outcome in backend.run(jobs, runner):
             outcomes[outcome.job] = outcome
             name = " ".join((f"run {outcome.job.name}", *names[outcome.job]))
-            done = f"[{len(outcomes)}/{len(jobs)}] {name}: {outcome.status}, {outcome.sentence}"
-            print(done, flush=True)
+            count = f"[{before + len(outcomes)}/{total or len(jobs)}]"
+            print(f"{count} {name}: {outcome.status}, {outcome.sentence}", flush=True)
     return [outcomes.get(job, Outcome(job, "stopped", "not begun")) for job in jobs]
-
-
-def note_origin(folder: Path, overrides: Sequence[str] = ()) -> None:
-    """Writes command, overrides, commit and machine of a run or sweep, unless they are there."""
-    path = folder / ORIGIN
-    if path.exists():
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    origin = {
-        "command": shell("python", Path(sys.argv[0]).name, *sys.argv[1:]),
-        "overrides": list(overrides),
-        "commit": _git("rev-parse", "--short=12", "HEAD") or "unknown",
-        "machine": f"{_processor()}, {len(os.sched_getaffinity(0))} cores, {platform.system()}",
-        "versions": f"Python {platform.python_version()}, torch {version('torch')}",
-        "begun": time.strftime("%Y-%m-%d %H:%M %Z"),
-    }
-    if _git("status", "--porcelain", "--untracked-files=no"):
-        origin["commit"] += " with changes"
-    path.write_text(json.dumps(origin, indent=2) + "\n")
 
 
 def require_success(outcomes: Sequence[Outcome], folder: Path) -> None:
@@ -225,7 +220,7 @@ def require_success(outcomes: Sequence[Outcome], folder: Path) -> None:
         why = f" Why: {folder}/{names['failed'][0]}/{FAILURE}." if names["failed"] else ""
         raise SweepError(
             f"{sum(map(len, names.values()))} of {len(outcomes)} runs are not finished "
-            f"({'; '.join(parts)}).{why} Go on with: " + command("train.py", {"resume": folder})
+            f"({'; '.join(parts)}).{why} Go on with: " + go_on(folder)
         )
 
 
@@ -233,39 +228,8 @@ def report(folder: Path) -> None:
     """Writes the report of what is finished, and says where it is or why there is none."""
     try:
         print(f"Report: {write_report(folder)}", flush=True)
-    except ConfigError as error:
+    except (ConfigError, OSError) as error:
         print(f"No report: {error}", flush=True)
-
-
-def require_same(job: Job) -> None:
-    """Raises ConfigError if the job's folder holds a run of other overrides."""
-    path = job.folder / JOB
-    if not path.exists():
-        return
-    theirs = overrides_of(job.folder)
-    if theirs != job.overrides:
-        raise ConfigError(
-            f"{job.folder} holds the run '{' '.join(theirs)}', but job {job.name} of this sweep is "
-            f"'{' '.join(job.overrides)}'; the study has changed: start a new sweep."
-        )
-
-
-def _git(*arguments: str) -> str:
-    """What git says about the source; nothing without git or a repository."""
-    command = ["git", "-C", str(SCRIPT.parent), *arguments]
-    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
-        return done.stdout.strip()
-    return ""
-
-
-def _processor() -> str:
-    """The processor's name."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.machine()
 
 
 def needed(module: str, extra: str) -> Any:  # noqa: ANN401 - a module

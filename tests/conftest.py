@@ -1,24 +1,31 @@
 """What every test shares: one thread, and configurations composed from `conf/`."""
 
 import functools
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import hydra
 import pytest
 import torch
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 import resc.schema
 from resc.build import build_env, build_pool, build_stages
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
+from resc.launch import launch
 
 CONF = Path(__file__).parents[1] / "conf"
 SLOW_S = 900
 """After which a slow test counts as hanging; pyproject.toml says it of the others."""
+STAND_IN = Path(__file__).parent / "stand_in_run.py"
+QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none")
 
 torch.set_num_threads(
     1
@@ -71,3 +78,43 @@ def load_part(compose: Callable[..., DictConfig]) -> Callable[[str, str], Any]:
         return compose(f"{group}={name}")[group] if "defaults" in node else node
 
     return load
+
+
+@pytest.fixture
+def start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., list[DictConfig]]:
+    """`start(*arguments)`: a script in this process; the configurations that it ran with.
+
+    Runs of a sweep are made by the stand-in.
+    """
+    monkeypatch.chdir(tmp_path)
+    resc.schema.register()
+
+    def run(*arguments: str) -> list[DictConfig]:
+        ran: list[DictConfig] = []
+        main = hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
+        outside, known = GlobalHydra.instance(), HydraConfig.instance().cfg
+        initialized, outside.hydra = outside.hydra, None
+        quiet = [] if any(text.startswith("resume=") for text in arguments) else QUIET
+        monkeypatch.setattr(sys, "argv", [str(STAND_IN), *arguments, *quiet])
+        try:
+            launch(main(ran.append), "train")
+        finally:
+            outside.hydra, HydraConfig.instance().cfg = initialized, known
+        return ran
+
+    return run
+
+
+@pytest.fixture
+def refusal(start: Callable[..., list[DictConfig]]) -> Callable[..., str]:
+    """`refusal(*arguments)`: the one sentence with which a script ends."""
+
+    def refused(*arguments: str) -> str:
+        with pytest.raises(SystemExit) as raised:
+            start(*arguments)
+        told = str(raised.value)
+        assert told.startswith("error: ")
+        assert "\n" not in told
+        return told
+
+    return refused

@@ -1,6 +1,7 @@
 """Stands in for train.py: writes at once what a run leaves, or fails, or waits to be stopped."""
 
 import json
+import os
 import signal
 import sys
 import time
@@ -8,17 +9,22 @@ from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-overrides = OverridesParser.create().parse_overrides(sys.argv[1:])
+given = [text for text in sys.argv[1:] if not text.startswith("--")]
+overrides = OverridesParser.create().parse_overrides(given)
 arguments = {override.key_or_group: override.value() for override in overrides}
 folder = Path(arguments["hydra.run.dir"])
-with (folder / "starts.txt").open("a") as file:
+with (folder.parent / f"starts_{folder.name}.txt").open("a") as file:
     file.write("resumed\n" if "resume" in arguments else "fresh\n")
+
+
+facts = {"argv": sys.argv, "directory": os.getcwd(), "environment": dict(os.environ)}
+(folder / "started.json").write_text(json.dumps({**facts, "optimize": sys.flags.optimize}))
 
 
 def stop(*_):
     for name in ("checkpoint.pt", "config.yaml"):
         (folder / name).touch()
-    sys.exit("Stopped after 100 frames. Go on with: python train.py resume=there")
+    sys.exit("Stopped after 100 frames. Go on with: ...")
 
 
 signal.signal(signal.SIGTERM, stop)

@@ -19,13 +19,20 @@ from resc.evaluation.ablation import write_report
 from resc.evaluation.held_out import read_episodes
 from resc.jobs import Job, Outcome
 from resc.launch import quoted_paths, resumed_sweep
-from resc.sweeps import note_origin, require_success
+from resc.origin import claim
+from resc.sweeps import require_success
 
 ROOT = Path(__file__).parents[1]
-COMMAND = re.compile(r"python \S+\.py |\b(resume|policy|replay|dir|name)=$")
+COMMAND = re.compile(r"python \S+\.py |\b(resume|policy|replay|run\.dir|sweep\.dir)=$")
 NASTY = "lr=0.1, \"b\" {c}[d] #e 'f' \\ ü"
 MEANT = list("\\\"'${}=, #[]():;&|*?!<>~`+-@%./\n\tab1é")
 """Characters that mean something to Hydra, to OmegaConf or to a shell, and some that do not."""
+
+
+def begin(folder, *arguments):
+    """Writes down that a sweep was begun with these arguments."""
+    command = shlex.join(["python", "train.py", *arguments])
+    (folder / "origin.json").write_text(json.dumps({"command": command}))
 
 
 def read(argument):
@@ -58,7 +65,7 @@ def test_texts_that_look_like_something_else_stay_texts(text):
 
 
 def test_numbers_and_truth_values_are_read_back_as_such():
-    values = {"a": 3, "b": -1.5e-7, "c": True, "d": None}
+    values = {"a": 3, "b": -1.5e-7, "c": True, "d": None, "e": ["mine.", "a, b"]}
     assert dict(read(override(*item)) for item in values.items()) == values
 
 
@@ -99,7 +106,7 @@ def test_sweep_of_a_nasty_name_is_resumed_by_the_command_it_prints(folder):
         require_success([outcome], folder)
     line = str(raised.value).partition("Go on with: ")[2]
     assert resumed(line) == folder
-    (folder / "multirun.yaml").write_text("hydra:\n  overrides: {hydra: [], task: ['seed=0,1']}\n")
+    begin(folder, "-m", "seed=0,1")
     *rest, into = resumed_sweep(quoted_paths(shlex.split(line)[2:]))
     assert rest == ["-m", "seed=0,1"]
     assert read(into) == ("hydra.sweep.dir", str(folder))
@@ -108,7 +115,7 @@ def test_sweep_of_a_nasty_name_is_resumed_by_the_command_it_prints(folder):
 def test_job_of_a_nasty_name_is_started_in_its_folder(folder):
     for name in ("checkpoint.pt", "config.yaml"):
         (folder / name).touch()
-    *_, into, resume = Job(folder, ("seed=0",)).command
+    *_, resume, into = Job(folder, ("seed=0",)).command
     assert read(into) == ("hydra.run.dir", str(folder))
     assert read(resume) == ("resume", str(folder))
 
@@ -116,7 +123,7 @@ def test_job_of_a_nasty_name_is_started_in_its_folder(folder):
 def test_command_of_a_sweep_is_noted_as_it_was_typed(folder, monkeypatch):
     typed = ["-m", 'name="lr=0.1, b"', "seed=0,1"]
     monkeypatch.setattr(sys, "argv", ["train.py", *typed])
-    note_origin(folder)
+    claim(folder)
     noted = json.loads((folder / "origin.json").read_text())["command"]
     assert shlex.split(noted) == ["python", "train.py", *typed]
 
@@ -124,15 +131,16 @@ def test_command_of_a_sweep_is_noted_as_it_was_typed(folder, monkeypatch):
 def test_repairs_of_damaged_files_are_commands_that_work(folder):
     run = folder / "0"
     run.mkdir()
-    (run / "evaluation.csv").write_text("cut")
-    with pytest.raises(ConfigError) as raised:
-        read_episodes(run / "evaluation.csv", 8)
-    assert resumed(str(raised.value).partition("goes on with: ")[2]) == folder
+    begin(folder, "-m", "seed=0,1")
     (run / "job.json").write_text("{}")
     with pytest.raises(ConfigError) as raised:
         write_report(folder)
     assert resumed(str(raised.value).partition("go on with: ")[2]) == folder
     (run / "job.json").write_text('{"overrides": []}')
+    (run / "evaluation.csv").write_text("cut")
+    with pytest.raises(ConfigError) as raised:
+        read_episodes(run / "evaluation.csv", 8)
+    assert resumed(str(raised.value).partition("goes on with: ")[2]) == folder
     with pytest.raises(ConfigError) as raised:
         write_report(folder)
     assert resumed(str(raised.value).partition("go on with: ")[2]) == folder

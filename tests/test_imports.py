@@ -7,12 +7,22 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"math", "keys", "errors", "quantities", "process", "command_line", "console", "run_folder"},
+    {
+        "math",
+        "keys",
+        "errors",
+        "quantities",
+        "process",
+        "command_line",
+        "console",
+        "run_folder",
+        "sweep_folder",
+    },
     {"term"},
     {"simulation", "maps", "scenes", "terms"},
     {"envs", "planning", "build", "schema", "settings"},
     {"learning", "evaluation", "recording", "baselines", "deployment"},
-    {"jobs", "launch", "sweeps"},
+    {"jobs", "origin", "launch", "sweeps"},
 )
 HYDRA_ROOMS = {"build", "schema", "launch"}
 FILES = sorted(

@@ -13,9 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from resc.command_line import shell
 from resc.errors import ConfigError, SweepError
 from resc.jobs import Job, Runner
 from resc.launch import resumed_sweep
+from resc.origin import claim, require_own_folder
 from resc.sweeps import Joblib, Ray, Serial, Slurm, require_success, run_sweep
 
 ROOT = Path(__file__).parents[1]
@@ -39,7 +41,7 @@ def job(folder, number, *overrides):
 
 
 def starts(folder, number):
-    return (folder / str(number) / "starts.txt").read_text().split()
+    return (folder / f"starts_{number}.txt").read_text().split()
 
 
 def statuses(outcomes):
@@ -86,7 +88,7 @@ def test_stopped_sweep_goes_on_from_the_checkpoint_and_makes_the_rest(tmp_path):
     stop_when_ready(signal.SIGTERM, tmp_path / "0")
     outcomes = run_sweep(jobs, Serial())
     assert statuses(outcomes) == ["stopped", "stopped"]
-    assert not (tmp_path / "1" / "starts.txt").exists()
+    assert not (tmp_path / "starts_1.txt").exists()
     with pytest.raises(SweepError, match=r"2 of 2 runs are not finished \(stopped: 0, 1\)\. Go on"):
         require_success(outcomes, tmp_path)
     stop_when_ready(signal.SIGTERM, tmp_path / "1")
@@ -133,6 +135,91 @@ def test_study_that_changed_is_refused_before_anything_runs(tmp_path):
     with pytest.raises(ConfigError, match="holds the run 'seed=0', but job 0 of this sweep is 's"):
         run_sweep([job(tmp_path, 0, "seed=5"), job(tmp_path, 1, "seed=6")], Serial())
     assert not (tmp_path / "1").exists()
+
+
+def test_same_overrides_that_now_make_another_run_are_refused(tmp_path):
+    before = Job(tmp_path / "0", (), STAND_IN, config={"reward": {"weight": 2.0}})
+    run_sweep([before], Serial())
+    now = Job(tmp_path / "0", (), STAND_IN, config={"reward": {"weight": 3.0}})
+    with pytest.raises(ConfigError, match=r"run with reward\.weight: 2\.0, but now .* 3\.0"):
+        run_sweep([now], Serial())
+
+
+def test_run_that_was_lengthened_is_refused_by_its_sweep(tmp_path):
+    own = Job(tmp_path / "0", (), STAND_IN, config={"total_frames": 100})
+    run_sweep([own], Serial())
+    (own.folder / "config.yaml").write_text("total_frames: 200\n")
+    with pytest.raises(ConfigError, match=r"says total_frames: 200, but its sweep began .* 100"):
+        run_sweep([own], Serial())
+
+
+def test_new_try_of_a_run_without_a_checkpoint_begins_in_an_empty_folder(tmp_path):
+    failing = job(tmp_path, 0, "weight=high")
+    run_sweep([failing], Serial())
+    (failing.folder / "rollouts").mkdir()
+    (failing.folder / "rollouts" / "old.mcap").touch()
+    (failing.folder / "progress.csv").touch()
+    run_sweep([failing], Serial())
+    left = sorted(path.name for path in failing.folder.iterdir())
+    assert left == [".lock", "failure.txt", "job.json", "log.txt", "started.json"]
+
+
+@pytest.mark.parametrize("what", ["file", "files of one's own"])
+def test_what_stands_where_a_run_goes_is_refused_and_left(tmp_path, what):
+    place = tmp_path / "0"
+    if what == "file":
+        place.write_text("mine")
+    else:
+        place.mkdir()
+        (place / "thesis.tex").write_text("mine")
+    with pytest.raises(ConfigError, match="move it away"):
+        run_sweep([job(tmp_path, 0)], Serial())
+    assert (place if what == "file" else place / "thesis.tex").read_text() == "mine"
+
+
+def test_folder_of_another_sweep_or_of_a_run_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["train.py", "-m", "seed=0,1", "launcher=joblib"])
+    begin(tmp_path / "same", "-m", "launcher=serial", "seed=0,1", "hydra.sweep.dir=same")
+    require_own_folder(tmp_path / "same")
+    begin(tmp_path / "other", "-m", "seed=2,3")
+    with pytest.raises(ConfigError, match=r"holds another sweep; .* python train\.py resume="):
+        require_own_folder(tmp_path / "other")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.yaml").touch()
+    with pytest.raises(ConfigError, match=r"holds a run; .* hydra\.sweep\.dir"):
+        require_own_folder(tmp_path / "run")
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="is a file"):
+        require_own_folder(tmp_path / "file")
+
+
+def test_of_two_sweeps_begun_at_once_in_one_folder_the_second_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["train.py", "-m", "seed=0,1"])
+    claim(tmp_path)
+    first = (tmp_path / "origin.json").read_text()
+    monkeypatch.setattr(sys, "argv", ["train.py", "-m", "seed=2,3"])
+    with pytest.raises(ConfigError, match="holds another sweep"):
+        claim(tmp_path)
+    assert (tmp_path / "origin.json").read_text() == first
+    assert [path.name for path in tmp_path.iterdir()] == ["origin.json"]
+
+
+def test_folder_that_cannot_be_written_is_told(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["train.py", "-m", "seed=0,1"])
+    with pytest.raises(ConfigError, match="/proc/nope cannot be written"):
+        claim(Path("/proc/nope"))
+
+
+def test_run_that_cannot_be_started_fails_alone(tmp_path, capsys):
+    lost = Job(tmp_path / "0", ("seed=0",), STAND_IN, directory=tmp_path / "gone")
+    outcomes = run_sweep([lost, job(tmp_path, 1, "seed=1")], Serial())
+    assert statuses(outcomes) == ["failed", "finished"]
+    assert outcomes[0].sentence == f"cannot be run, {tmp_path}/gone: No such file or directory"
+
+
+def test_runs_are_counted_over_the_whole_sweep(tmp_path, capsys):
+    run_sweep([job(tmp_path, 2)], Serial(), before=2, total=20)
+    assert capsys.readouterr().out.startswith("[3/20] run 2: finished")
 
 
 def test_parallel_runs_are_under_way_together(tmp_path):
@@ -192,11 +279,15 @@ def test_launcher_that_is_not_installed_names_the_extra(tmp_path):
         run_sweep([job(tmp_path, 0)], Ray())
 
 
+def begin(folder, *arguments, **facts):
+    """Writes down that a sweep was begun with these arguments."""
+    folder.mkdir(exist_ok=True)
+    origin = {"command": shell("python", "train.py", *arguments), **facts}
+    (folder / "origin.json").write_text(json.dumps(origin))
+
+
 def test_folder_of_a_sweep_resumes_the_command_that_began_it(tmp_path):
-    (tmp_path / "multirun.yaml").write_text(
-        "hydra:\n  overrides:\n    hydra: ['hydra.mode=MULTIRUN', 'hydra.sweep.dir=x']\n"
-        "    task: ['+experiment=ablate_history', 'launcher=serial', 'seed=0,1']\n"
-    )
+    begin(tmp_path, "-m", "+experiment=ablate_history", "launcher=serial", "seed=0,1")
     assert resumed_sweep([f"resume={tmp_path}", "launcher=joblib"]) == [
         "-m",
         "+experiment=ablate_history",

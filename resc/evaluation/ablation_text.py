@@ -8,7 +8,7 @@ from pathlib import Path
 from resc.evaluation.ablation_analysis import LEAST_ARRIVALS, Analysis, Result
 from resc.evaluation.ablation_figures import FIGURES
 from resc.evaluation.bootstrap import DRAWS, Estimate
-from resc.evaluation.study import Sweep, differing
+from resc.evaluation.study import Run, Sweep, differing
 
 NAME, VARIANTS, RUNS = "report.md", "variants.csv", "runs.csv"
 ESTIMATES = ("success", "iqm", "improvement", "time_s", "energy_m2ps5")
@@ -55,6 +55,7 @@ def markdown(sweep: Sweep, analysis: Analysis) -> str:
         f"# {sweep.folder.name}",
         f"{len(done)} of {len(runs)} runs finished; all with `{' '.join(shared) or 'defaults'}`.",
         "\n".join(f"- {name}: {text}" for name, text in sweep.origin.items()),
+        _unequal_budgets(done),
         _table((*head, *costs), rows),
         notes,
         *(f"## {title}\n\n![{title}]({name})" for name, title in FIGURES.items()),
@@ -62,6 +63,15 @@ def markdown(sweep: Sweep, analysis: Analysis) -> str:
         _table(("run", "variant", "seed", "overrides that differ", "success [%]"), _listed(sweep)),
     ]
     return "\n\n".join(part.rstrip() for part in parts if part) + "\n"
+
+
+def _unequal_budgets(runs: Sequence[Run]) -> str:
+    """A warning if the variants were not trained for the same length; otherwise nothing."""
+    budgets = {run.variant: run.budget for run in runs}
+    if len(set(budgets.values())) < 2:
+        return ""
+    told = ", ".join(f"{name} {budget}" for name, budget in budgets.items())
+    return f"**The variants were trained for different lengths** [environment steps]: {told}."
 
 
 def _cells(result: Result) -> list[str]:

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
-from resc.command_line import command
 from resc.errors import ConfigError
 from resc.evaluation.flights import Flights
 from resc.scenes.pool import ScenePool
+from resc.sweep_folder import go_on
 
 NEAR_M = 1.5
 """Density is measured this near to the route: as far as training puts obstacles from it."""
@@ -87,7 +87,7 @@ def read_episodes(path: Path, expected: int) -> Episodes:
     Raises:
         ConfigError: The file is missing, cut, or not of `expected` episodes.
     """
-    again = command("train.py", {"resume": path.parents[1]})
+    again = go_on(path.parent)
     repair = f"delete it; the sweep flies the episodes again when it goes on with: {again}"
     if not path.exists():
         raise ConfigError(f"{path} is missing; {repair}")

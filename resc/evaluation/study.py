@@ -1,8 +1,8 @@
 """A sweep's folder: which runs there are, what makes them different, what came of them."""
 
 import csv
-import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from resc.build import load_config
-from resc.command_line import command
 from resc.errors import ConfigError
 from resc.evaluation.held_out import Episodes, held_out_rules, read_episodes
 from resc.run_folder import (
@@ -20,18 +19,17 @@ from resc.run_folder import (
     EPISODES,
     FAILURE,
     JOB,
-    ORIGIN,
     SUMMARY,
-    json_of,
     summary_of,
 )
+from resc.sweep_folder import begun_as, go_on, origin_of, require_as_begun
 
 PROGRESS = "progress.csv"
 TASK = ("scene", "task", "vehicle", "rate_loop", "dynamics", "termination", "randomization", "env")
 """Groups that held-out flights must share to be compared."""
 OWN_ENV = ("layout", "history", "observation_frame")
 """Entries of `env` that say what the policy sees, not what it flies."""
-SEED = "seed="
+SEED, BUDGET = "seed", "total_frames"
 SUCCESS, SPEED = "outcome/success", "speed/steps_per_s"
 
 Columns = dict[str, Float[np.ndarray, " t"]]
@@ -41,7 +39,7 @@ Columns = dict[str, Float[np.ndarray, " t"]]
 class Run:
     """A run of a sweep; one without episodes is not finished, and `reason` says why.
 
-    `curve` is its progress.csv.
+    `curve` is its progress.csv, `budget` the environment steps it was to train for.
     """
 
     number: int
@@ -50,6 +48,7 @@ class Run:
     overrides: tuple[str, ...]
     reason: str = ""
     failed: bool = False
+    budget: int | None = None
     episodes: Episodes | None = None
     curve: Columns | None = None
 
@@ -103,30 +102,18 @@ def read_sweep(folder: Path) -> Sweep:
         raise ConfigError(
             f"{folder} holds no run of a sweep; give a folder that train.py -m wrote."
         )
-    overrides = [overrides_of(path) for path in folders]
+    overrides = [begun_as(path).overrides for path in folders]
     names = variant_names(overrides)
     made = zip(folders, names, overrides, strict=True)
     runs = tuple(_read_run(path, name, own) for path, name, own in made)
-    sweep = Sweep(folder, runs, json_of(folder / ORIGIN))
+    sweep = Sweep(folder, runs, origin_of(folder))
     if not sweep.finished():
         raise ConfigError(
-            f"{folder} holds no finished run ({len(folders)} begun); go on with: "
-            + command("train.py", {"resume": folder})
+            f"{folder} holds no finished run ({len(folders)} begun); go on with: " + go_on(folder)
         )
     _require_one_task(sweep)
+    _require_fair(sweep)
     return sweep
-
-
-def overrides_of(folder: Path) -> tuple[str, ...]:
-    """The overrides that made the run in a job's folder."""
-    path = folder / JOB
-    try:
-        return tuple(str(text) for text in json.loads(path.read_text())["overrides"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(
-            f"{path} cannot be read ({error}); delete the folder and go on with: "
-            + command("train.py", {"resume": folder.parent})
-        ) from None
 
 
 def differing(runs: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
@@ -138,26 +125,46 @@ def differing(runs: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
 def variant_names(runs: Sequence[Sequence[str]]) -> list[str]:
     """A name for what each run is beside its seed, from the overrides that differ.
 
-    Of one part that is swapped, its value; of a list, what it lacks or adds to the first one's.
+    Of one part that is swapped, its value; of a list, what it lacks or adds to the first one's; of
+    a number, where it belongs, too: `progress.weight=2.0`.
     """
     own = [
-        dict(split_override(text) for text in run if not text.startswith(SEED))
+        {key: value for key, value in map(split_override, run) if key != SEED}
         for run in differing(runs)
     ]
-    keys = {key for run in own for key in run}
+    shown = short_keys({key: None for run in own for key in run})
     names = []
     for run in own:
         parts = []
         for key, value in run.items():
             short = _list_name(value, own[0].get(key, ""))
-            parts.append(short if len(keys) == 1 else f"{key.rpartition('.')[2]}={short}")
+            alone = len(shown) == 1 and "." not in key
+            parts.append(short if alone else f"{shown[key]}={short}")
         names.append(" ".join(parts) or "default")
     return names
 
 
+def short_keys(keys: Iterable[str]) -> dict[str, str]:
+    """What keys are called: as few of their last parts as tell them apart, and mean something.
+
+    The numbers of a term come with its name: `reward.progress.weight` is `progress.weight`, while
+    `model.hidden` is `hidden`.
+    """
+    parts = {key: key.split(".") for key in keys}
+    length = {key: max(len(path) - 1, 1) for key, path in parts.items()}
+    while True:
+        short = {key: ".".join(path[-length[key] :]) for key, path in parts.items()}
+        used = Counter(short.values())
+        longer = [k for k in parts if used[short[k]] > 1 and length[k] < len(parts[k])]
+        if not longer:
+            return short
+        for key in longer:
+            length[key] += 1
+
+
 def split_override(text: str) -> tuple[str, str]:
     """Key and value of an override."""
-    key, _, value = text.partition("=")
+    key, _, value = text.lstrip("+").partition("=")
     return key, value
 
 
@@ -173,23 +180,37 @@ def _list_name(value: str, first: str) -> str:
 
 
 def _read_run(folder: Path, variant: str, overrides: tuple[str, ...]) -> Run:
-    seeds = [text.removeprefix(SEED) for text in overrides if text.startswith(SEED)]
-    seed = int(seeds[-1]) if seeds else 0
-    run = Run(int(folder.name), variant, seed, overrides)
+    run = Run(int(folder.name), variant, _seed_of(folder, overrides), overrides)
     summary = summary_of(folder)
-    if "success_rate" in summary:
-        episodes = read_episodes(folder / EPISODES, int(summary["episodes"]))
-        return replace(run, episodes=episodes, curve=_read_curve(folder / PROGRESS))
-    if (folder / SUMMARY).exists() and not summary:
+    rate, count = (summary.get(name, 0) for name in ("success_rate", "episodes"))
+    sound = isinstance(rate, int | float) and isinstance(count, int)
+    if "success_rate" in summary and sound:
+        require_as_begun(folder)
+        budget = load_config(folder / CONFIG).get(BUDGET)
+        episodes = read_episodes(folder / EPISODES, count)
+        curve = _read_curve(folder / PROGRESS)
+        return replace(run, budget=budget, episodes=episodes, curve=curve)
+    if (folder / SUMMARY).exists() and not (summary and sound):
         raise ConfigError(
             f"{folder / SUMMARY} is cut or damaged; delete it and go on with: "
-            + command("train.py", {"resume": folder.parent})
+            + go_on(folder.parent)
         )
     failure = folder / FAILURE
     reason = "not finished"
-    if failure.exists():
+    if failure.is_file():
         reason = (failure.read_text(errors="replace").splitlines() or ["failed"])[0]
     return replace(run, reason=reason, failed=failure.exists())
+
+
+def _seed_of(folder: Path, overrides: Sequence[str]) -> int:
+    """The seed that a run was trained with."""
+    seeds = [value for key, value in map(split_override, overrides) if key == SEED]
+    try:
+        return int(seeds[-1]) if seeds else 0
+    except ValueError:
+        raise ConfigError(
+            f"{folder / JOB} says {SEED}={seeds[-1]}, which is no whole number; delete the folder."
+        ) from None
 
 
 def _read_curve(path: Path) -> Columns:
@@ -209,7 +230,7 @@ def _read_curve(path: Path) -> Columns:
     except (OSError, ValueError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(
             f"{path} is cut or damaged ({error}); delete the run's folder and go on with: "
-            + command("train.py", {"resume": path.parents[1]})
+            + go_on(path.parents[1])
         ) from None
 
 
@@ -227,6 +248,29 @@ def _require_one_task(sweep: Sweep) -> None:
                 f"Runs {first.number} and {run.number} of {sweep.folder} flew different tasks: "
                 f"their {' and '.join(differ)} differ; give them one evaluation by held_out, or "
                 "report them apart."
+            )
+
+
+def _require_fair(sweep: Sweep) -> None:
+    """Raises ConfigError if a variant's runs are one twice, or were trained for different lengths.
+
+    Variants may be trained for different lengths: the report says so.
+    """
+    for name in sweep.variants:
+        first: dict[int, Run] = {}
+        for run in sweep.finished(name):
+            if run.seed in first:
+                raise ConfigError(
+                    f"Runs {first[run.seed].number} and {run.number} of {sweep.folder} are both "
+                    f"seed {run.seed} of {name}, which counts one run twice; move one of them away."
+                )
+            first[run.seed] = run
+        budgets = {run.budget: run for run in first.values()}
+        if len(budgets) > 1:
+            (one, a), (other, b), *_ = budgets.items()
+            raise ConfigError(
+                f"Runs {a.number} and {b.number} of {sweep.folder}, both {name}, were trained with "
+                f"{BUDGET} {one} and {other}; train one of them again, or report them apart."
             )
 
 

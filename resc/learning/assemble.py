@@ -8,7 +8,6 @@ from typing import Any
 from omegaconf import DictConfig, open_dict
 
 from resc.build import build, build_env, build_pool, build_terms, load_config
-from resc.command_line import command
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.envs.stages import Stages
 from resc.errors import ConfigError
@@ -28,6 +27,7 @@ from resc.run_folder import (
 )
 from resc.schema import TrainSchema
 from resc.settings import check_settings, honoured, typed
+from resc.sweep_folder import go_on, require_as_begun
 from resc.term import Curriculum
 
 CLOSED_BATCHES = 4
@@ -101,6 +101,8 @@ def resumed(config: DictConfig, overrides: Sequence[str], folder: Path) -> DictC
     if "total_frames" not in stored:
         raise ConfigError(f"{folder} holds no training run; give the folder of one.")
     stored = typed(stored, TrainSchema, folder / CONFIG)
+    if sweep_of(folder):
+        require_as_begun(folder)
     made_with = json_of(folder / ORIGIN).get("overrides", ())
     changed = honoured(overrides, made_with, folder)
     if "total_frames" in changed:
@@ -120,8 +122,7 @@ def _require_longer(frames: int, budget: int, folder: Path) -> None:
     if frames > budget and (sweep := sweep_of(folder)):
         raise ConfigError(
             f"total_frames is {frames}, but {folder.name} is a run of the sweep {sweep}, whose "
-            f"runs all take {budget}; begin a longer sweep, or go on with: "
-            + command("train.py", {"resume": sweep})
+            f"runs all take {budget}; begin a longer sweep, or go on with: " + go_on(sweep)
         )
 
 

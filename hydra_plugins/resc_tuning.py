@@ -1,0 +1,230 @@
+"""Hydra's door to Optuna: a sweeper that tunes.
+
+hydra-optuna-sweeper 1.3.0 wants optuna below 3.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeGuard
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override
+from hydra.core.plugins import Plugins
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+
+from hydra_plugins.resc_sweeps import SweepLauncher
+from resc.build import nearest
+from resc.command_line import override
+from resc.errors import ConfigError, SweepError
+from resc.jobs import Outcome
+from resc.run_folder import SUMMARY, summary_of
+from resc.sweep_folder import go_on
+from resc.sweeps import needed, require_success
+
+DATABASE = "optuna.db"
+
+
+class OptunaSweeper(Sweeper):
+    """Chooses the next runs by what came of those before, with Optuna's TPE sampler.
+
+    Maximises one number of the runs' summaries. The study is kept in the sweep's folder, so that an
+    interrupted one goes on.
+
+    Args:
+        objective: The number in summary.json.
+        trials: Runs in all.
+        batch: Runs begun together, before any of them tells anything.
+        seed: Of the sampler.
+        params: What is tuned, as overrides: `interval(a, b)`, `tag(log, interval(a, b))` or
+            choices.
+    """
+
+    def __init__(
+        self, objective: str, trials: int, batch: int, seed: int, params: Mapping[str, str]
+    ) -> None:
+        self.objective, self.trials, self.batch, self.seed = objective, trials, batch, seed
+        self.params = params
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Takes the launcher.
+
+        Raises:
+            ConfigError: A setting is out of range, or the launcher is not ours.
+        """
+        _require_whole("trials", self.trials, 1)
+        _require_whole("batch", self.batch, 1)
+        _require_whole("seed", self.seed, 0)
+        if not isinstance(self.params, Mapping):
+            raise ConfigError(f"hydra.sweeper.params is {self.params!r}; expected key: interval.")
+        self.config, self.loader = config, hydra_context.config_loader
+        launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=hydra_context, task_function=task_function, config=config
+        )
+        if not isinstance(launcher, SweepLauncher):
+            raise ConfigError("hydra.launcher is not ours; the sweeper needs launcher=serial etc.")
+        self.launcher: SweepLauncher = launcher
+
+    def sweep(self, arguments: list[str]) -> None:
+        """Runs the trials; raises SweepError at the end if one failed."""
+        optuna = needed("optuna", "optuna")
+        tuned, fixed = self._space(arguments)
+        folder = self.launcher.folder
+        folder.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(self.config, folder / "multirun.yaml")
+        study = _open_study(folder)
+        told = study.user_attrs.get("objective", self.objective)
+        if told != self.objective:
+            raise ConfigError(
+                f"hydra.sweeper.objective is '{self.objective}', but the study in {folder} tunes "
+                f"{told}; leave it out, or start a new sweep."
+            )
+        states = optuna.trial.TrialState
+        begun = [t for t in study.trials if t.state == states.RUNNING]
+        failed: list[Outcome] = []
+        while begun or len(study.trials) < self.trials:
+            # Seeded by what is known, so that a study that goes on draws what it would have drawn.
+            study.sampler = optuna.samplers.TPESampler(seed=self.seed + len(study.trials))
+            count = min(self.batch, self.trials - len(study.trials))
+            before = len(study.trials) - len(begun)
+            trials = begun or [study.ask(tuned) for _ in range(count)]
+            begun = []
+            jobs = [
+                self.launcher.job(t.number, [*fixed, *(f"{k}={v}" for k, v in t.params.items())])
+                for t in trials
+            ]
+            total = max(self.trials, before + len(jobs))
+            outcomes = self.launcher.run(jobs, before=before, total=total)
+            for trial, outcome in zip(trials, outcomes, strict=True):
+                if outcome.status in ("stopped", "busy"):
+                    require_success([outcome], folder)
+                value = self._value_of(outcome)
+                if math.isfinite(value):
+                    study.set_user_attr("objective", self.objective)
+                    study.tell(trial.number, value)
+                else:
+                    failed.append(outcome)
+                    study.tell(trial.number, state=states.FAIL)
+        self._conclude(study, failed)
+
+    def _space(self, arguments: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+        """What is tuned, by key, and the overrides that all trials share.
+
+        Raises:
+            ConfigError: Nothing is tuned, a range is none, or a key names no setting.
+        """
+        parser = OverridesParser.create(config_loader=self.loader)
+        given = {text.partition("=")[0]: text for text in arguments}
+        params = [f"{key}={value}" for key, value in self.params.items() if key not in given]
+        parsed = parser.parse_overrides([*params, *arguments])
+        tuned = {o.get_key_element(): distribution_of(o) for o in parsed if o.is_sweep_override()}
+        fixed = [str(o.input_line) for o in parsed if not o.is_sweep_override()]
+        if not tuned:
+            raise ConfigError("hydra.sweeper.params names nothing to tune; give an interval(a, b).")
+        assert self.config is not None
+        first = [f"{key}={_some(distribution)}" for key, distribution in tuned.items()]
+        self.loader.load_sweep_config(self.config, [*fixed, *first])  # refuses what is no setting
+        return tuned, fixed
+
+    def _value_of(self, outcome: Outcome) -> float:
+        """The objective of a run that is over; NaN if it failed or the number is not finite.
+
+        Raises:
+            SweepError: Summaries have no such number.
+        """
+        if outcome.status == "failed":
+            return math.nan
+        summary = summary_of(outcome.job.folder)
+        numbers = [key for key, value in summary.items() if type(value) in (int, float)]
+        value = summary.get(self.objective, self.objective)
+        if value is not None and self.objective not in numbers:
+            folder = self.launcher.folder
+            raise SweepError(
+                f"hydra.sweeper.objective is '{self.objective}', which is no number in {SUMMARY} "
+                f"of run {outcome.job.name}.{nearest(self.objective, numbers)} Go on with one of "
+                f"these: {go_on(folder)} {override('hydra.sweeper.objective', 'success_rate')}"
+            )
+        return math.nan if value is None else float(value)
+
+    def _conclude(self, study: Any, failed: Sequence[Outcome]) -> None:  # noqa: ANN401 - Optuna's
+        folder = self.launcher.folder
+        done = [t for t in study.trials if t.value is not None]
+        if done:
+            best = study.best_trial
+            OmegaConf.save({"objective": best.value, "params": best.params}, folder / "best.yaml")
+            chosen = " ".join(f"{name}={value}" for name, value in best.params.items())
+            print(
+                f"Best of {len(done)} is run {best.number}, {self.objective} {best.value}: {chosen}"
+            )
+        if failed:
+            require_success(failed, folder)
+
+
+def _open_study(folder: Path) -> Any:  # noqa: ANN401 - Optuna's
+    """The study of a sweep's folder, new or as far as it has come."""
+    optuna = needed("optuna", "optuna")
+    sqlalchemy = needed("sqlalchemy", "optuna")
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    path = folder / DATABASE
+    storage = sqlalchemy.engine.URL.create("sqlite", database=str(path))
+    try:
+        return optuna.create_study(
+            storage=storage.render_as_string(),
+            study_name="study",
+            direction="maximize",
+            load_if_exists=True,
+        )
+    except (optuna.exceptions.OptunaError, sqlalchemy.exc.SQLAlchemyError) as error:
+        reason = str(error.__cause__ or error).strip().splitlines()[0]
+        raise ConfigError(
+            f"{path} cannot be read ({reason}); restore it and go on with: {go_on(folder)}"
+        ) from None
+
+
+def _require_whole(name: str, value: Any, least: int) -> None:  # noqa: ANN401 - as configured
+    if type(value) is not int or value < least:
+        raise ConfigError(
+            f"hydra.sweeper.{name} is {value!r}; expected a whole number of at least {least}."
+        )
+
+
+def distribution_of(given: Override) -> Any:  # noqa: ANN401 - Optuna's
+    """What a sweep override may be.
+
+    Raises:
+        ConfigError: It is no range or list of choices that a number could be drawn from.
+    """
+    distributions = needed("optuna", "optuna").distributions
+    value = given.value()
+    if isinstance(value, IntervalSweep):
+        low, high, log = value.start, value.end, "log" in value.tags
+        if not (_is_finite(low) and _is_finite(high)) or low >= high or (log and low <= 0):
+            above = " above zero" if log else ""
+            raise ConfigError(
+                f"{given.input_line} is no range; expected two numbers{above}, the lower first."
+            )
+        if type(low) is int and type(high) is int:
+            return distributions.IntDistribution(low, high, log=log)
+        return distributions.FloatDistribution(low, high, log=log)
+    if isinstance(value, ChoiceSweep) or given.is_choice_sweep():
+        choices = list(given.sweep_string_iterator())
+        if len(choices) != len(set(choices)) or not choices:
+            what = "a choice twice" if choices else "no choice"
+            raise ConfigError(f"{given.input_line} names {what}; list each choice once.")
+        return distributions.CategoricalDistribution(choices)
+    raise ConfigError(
+        f"{given.input_line} cannot be tuned; expected interval(a, b) or choice(a, b, c)."
+    )
+
+
+def _is_finite(value: Any) -> TypeGuard[float]:  # noqa: ANN401 - what an interval holds
+    return type(value) in (int, float) and math.isfinite(value)
+
+
+def _some(distribution: Any) -> Any:  # noqa: ANN401 - Optuna's
+    """One value of a distribution, as an override says it."""
+    return distribution.choices[0] if hasattr(distribution, "choices") else distribution.low
