@@ -174,8 +174,13 @@ def sweep_of(folder: Path) -> Path | None:
 
 def is_finished(folder: Path) -> bool:
     """Whether a run was trained and evaluated to the end."""
-    rate = summary_of(folder).get("success_rate")
-    return (folder / EPISODES).exists() and isinstance(rate, int | float)
+    return (folder / EPISODES).exists() and is_evaluated(summary_of(folder))
+
+
+def is_evaluated(summary: Mapping[str, Any]) -> bool:
+    """Whether a summary tells what came of the held-out episodes, in numbers."""
+    rate, counts = summary.get("success_rate"), (summary.get("episodes"), summary.get("frames", 0))
+    return isinstance(rate, int | float) and all(isinstance(count, int) for count in counts)
 
 
 def summary_of(folder: Path) -> dict[str, Any]:

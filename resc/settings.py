@@ -75,6 +75,22 @@ def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
     folder_name(config["name"])
 
 
+def typed(stored: DictConfig, schema: type[RunSchema], path: Path) -> DictConfig:
+    """A stored configuration with the types of a run's settings, as Hydra composes one.
+
+    Raises:
+        ConfigError: A setting is missing, foreign or of another type.
+    """
+    repair = f"restore {path} from its run"
+    if missing := [field.name for field in fields(schema) if field.name not in stored]:
+        raise ConfigError(f"{path} has no {missing[0]}; {repair}.")
+    try:
+        return cast(DictConfig, OmegaConf.merge(OmegaConf.structured(schema), stored))
+    except OmegaConfBaseException as error:
+        reason = str(error).partition("\n")[0]
+        raise ConfigError(f"{error.full_key} is wrong ({reason}); {repair}.") from None
+
+
 def _refuse_unknown(given: Iterable[str], known: Iterable[str], prefix: str) -> None:
     for name in given:
         if name not in known:
@@ -104,5 +120,7 @@ def honoured(overrides: Sequence[str], made_with: Sequence[str], folder: Path) -
 
 
 def listed(value: Any) -> list[str]:  # noqa: ANN401 - as a configuration holds it
-    """A list of names; a single name is a list of one."""
-    return [value] if isinstance(value, str) else [str(name) for name in value]
+    """A list of names; a single name is a list of one, and what is no list holds none."""
+    if isinstance(value, str):
+        return [value]
+    return [str(name) for name in value] if isinstance(value, Sequence) else []

@@ -103,7 +103,7 @@ def read_episodes(path: Path, expected: int) -> Episodes:
             name: column if name == "outcome" else column.astype(np.float64)
             for name, column in columns.items()
         }
-    except (ValueError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise ConfigError(f"{path} is cut or damaged ({error}); {repair}") from None
     if missing := [name for name in COLUMNS if name not in table]:
         raise ConfigError(f"{path} has no column {missing[0]}; {repair}")

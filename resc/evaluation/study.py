@@ -20,6 +20,7 @@ from resc.run_folder import (
     FAILURE,
     JOB,
     SUMMARY,
+    is_evaluated,
     summary_of,
 )
 from resc.sweep_folder import begun_as, go_on, origin_of, require_as_begun
@@ -182,15 +183,13 @@ def _list_name(value: str, first: str) -> str:
 def _read_run(folder: Path, variant: str, overrides: tuple[str, ...]) -> Run:
     run = Run(int(folder.name), variant, _seed_of(folder, overrides), overrides)
     summary = summary_of(folder)
-    rate, count = (summary.get(name, 0) for name in ("success_rate", "episodes"))
-    sound = isinstance(rate, int | float) and isinstance(count, int)
-    if "success_rate" in summary and sound:
+    if is_evaluated(summary):
         require_as_begun(folder)
         budget = load_config(folder / CONFIG).get(BUDGET)
-        episodes = read_episodes(folder / EPISODES, count)
+        episodes = read_episodes(folder / EPISODES, int(summary["episodes"]))
         curve = _read_curve(folder / PROGRESS)
         return replace(run, budget=budget, episodes=episodes, curve=curve)
-    if (folder / SUMMARY).exists() and not (summary and sound):
+    if (folder / SUMMARY).exists() and (not summary or "success_rate" in summary):
         raise ConfigError(
             f"{folder / SUMMARY} is cut or damaged; delete it and go on with: "
             + go_on(folder.parent)
@@ -227,7 +226,7 @@ def _read_curve(path: Path) -> Columns:
             for name in ("frames", SUCCESS, SPEED)
             if name in rows[0]
         }
-    except (OSError, ValueError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise ConfigError(
             f"{path} is cut or damaged ({error}); delete the run's folder and go on with: "
             + go_on(path.parents[1])
@@ -285,7 +284,10 @@ def _task_of(folder: Path) -> dict[str, Any]:
     """What a run's held-out episodes are, as plain data."""
     rules: Mapping[str, Any] = held_out_rules(load_config(folder / CONFIG))
     task = {name: _plain(rules.get(name)) for name in TASK}
-    task["env"] = {k: v for k, v in (task["env"] or {}).items() if k not in OWN_ENV}
+    env = task["env"]
+    if not isinstance(env, dict):
+        raise ConfigError(f"{folder / CONFIG}: env is {env!r}; restore the file from its run.")
+    task["env"] = {k: v for k, v in env.items() if k not in OWN_ENV}
     return task | {name: rules.get(name) for name in ("evaluation_seed", "evaluation_episodes")}
 
 

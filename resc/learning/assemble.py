@@ -26,7 +26,7 @@ from resc.run_folder import (
     sweep_of,
 )
 from resc.schema import TrainSchema
-from resc.settings import check_settings, honoured, typed
+from resc.settings import check_settings, honoured, listed, typed
 from resc.sweep_folder import go_on, require_as_begun
 from resc.term import Curriculum
 
@@ -103,7 +103,7 @@ def resumed(config: DictConfig, overrides: Sequence[str], folder: Path) -> DictC
     stored = typed(stored, TrainSchema, folder / CONFIG)
     if sweep_of(folder):
         require_as_begun(folder)
-    made_with = json_of(folder / ORIGIN).get("overrides", ())
+    made_with = listed(json_of(folder / ORIGIN).get("overrides", []))
     changed = honoured(overrides, made_with, folder)
     if "total_frames" in changed:
         _require_longer(config["total_frames"], stored["total_frames"], folder)

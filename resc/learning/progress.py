@@ -12,6 +12,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 
 from resc.envs.stages import Stages
+from resc.errors import ConfigError
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -73,9 +74,7 @@ class ProgressTable:
         self.path = path
         self.rows: list[dict[str, float]] = []
         if path.exists():
-            with path.open(newline="") as file:
-                rows = [{k: float(v) for k, v in row.items() if v} for row in csv.DictReader(file)]
-            self.rows = [row for row in rows if row["frames"] <= frames]
+            self.rows = [row for row in _read_rows(path) if row["frames"] <= frames]
 
     def add(self, row: Mapping[str, float]) -> None:
         """Appends a row and writes the file anew when a column is new."""
@@ -90,6 +89,25 @@ class ProgressTable:
             writer = csv.DictWriter(file, columns)
             writer.writeheader()
             writer.writerows(self.rows)
+
+
+def _read_rows(path: Path) -> list[dict[str, float]]:
+    """The rows of a progress.csv.
+
+    Raises:
+        ConfigError: It is none, or damaged.
+    """
+    try:
+        rows = list(csv.DictReader(path.read_text().splitlines()))
+        if any("frames" not in row or None in row for row in rows):
+            raise ValueError("a row of another length")
+        return [{name: float(value) for name, value in row.items() if value} for row in rows]
+    except (OSError, ValueError, TypeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(
+            f"{path} cannot be read ({reason}); delete it, and the curve begins where the run goes "
+            "on."
+        ) from None
 
 
 def describe(stages: Stages) -> str:

@@ -1,5 +1,6 @@
 """Which files a path means: one recording, a folder of them, a run, or a pattern."""
 
+import os
 from collections.abc import Iterator
 from glob import glob
 from pathlib import Path
@@ -20,7 +21,7 @@ def recordings_at(location: str | Path) -> list[Path]:
     path = Path(location)
     matches = [path] if path.exists() else map(Path, glob(str(location), recursive=True))
     # runs/latest is another name of a run: the same file is not read twice.
-    found = {file.resolve(): file for match in matches for file in _recordings_in(match)}
+    found = {os.path.realpath(file): file for match in matches for file in _recordings_in(match)}
     if not found:
         raise RecordingError(
             f"No recording at {location}; give an .mcap file, a folder that holds {PATTERN} or a "
