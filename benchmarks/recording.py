@@ -36,7 +36,13 @@ from resc.learning.checkpoint import load_policy
 from resc.learning.ppo import Ppo
 from resc.learning.training import record_batch
 from resc.process import prepare_process
-from resc.recording.rollouts import open_recorder, record_world, start_arrays, with_success
+from resc.recording.rollouts import (
+    open_recorder,
+    record_world,
+    start_arrays,
+    with_flown,
+    with_success,
+)
 from resc.recording.writer import RolloutRecorder
 
 PARTS = ("writer", "cost", "jobs", "read")
@@ -91,7 +97,7 @@ def fly(trainer: Ppo, batches: int, burn_in: int) -> list[Taken]:
         starts, ended = start_arrays(trainer.take_starts()), trainer.statistics.episodes()
         if number >= burn_in:
             start_step = trainer.statistics.start_step
-            batch = trainer.batch.clone()
+            batch = with_flown(trainer.batch.clone())
             taken.append(Taken(start_step, batch, with_success(ended), starts))
     return taken
 

@@ -24,15 +24,11 @@ from tensordict import TensorDict
 from benchmarks.measure import machine, sentence, write_json
 from resc import keys
 from resc.process import prepare_process
-from resc.recording import Column, RolloutLog, RolloutRecorder
-from resc.recording.rollouts import FLAGS, REWARD_TERMS, STATE_COLUMNS
+from resc.recording import RolloutLog, RolloutRecorder
+from resc.recording.columns import usual_columns
+from resc.recording.schema import SAMPLED_ACTION
 
-COLUMNS = (
-    *STATE_COLUMNS,
-    Column(keys.REWARD, (), torch.float32),
-    Column(REWARD_TERMS, tuple(f"term_{i}" for i in range(7)), torch.float32),
-    *FLAGS,
-)
+COLUMNS = usual_columns(tuple(f"term_{i}" for i in range(7)))
 """Those of a training run with the published reward."""
 ENVS, BATCHES, STEPS, EPISODES = 1024, 16, 32, 10_000
 GOALS = {"read_steps_per_s": 2e6, "one_env_ms": 25.0, "list_10000_ms": 100.0}
@@ -60,6 +56,7 @@ def make_recording(folder: Path, compression: str = "lz4") -> None:
                 walk = torch.randn(STEPS, *last.shape, generator=generator).mul_(0.01)
                 batch[key] = walk.cumsum(0).add_(last)
                 values[key] = batch[key][-1].clone()
+            batch[keys.ACTION] = batch[SAMPLED_ACTION.key].clamp(-1, 1)
             ended = torch.rand(STEPS, ENVS, 1, generator=generator) < EPISODES / (
                 BATCHES * STEPS * ENVS
             )

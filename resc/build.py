@@ -4,7 +4,6 @@ A stored configuration is data: only targets under an allowed prefix are built, 
 no foreign code.
 """
 
-import difflib
 import importlib
 import inspect
 from collections.abc import Callable, Iterable, Mapping
@@ -17,7 +16,7 @@ from yaml import YAMLError
 
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
-from resc.errors import ConfigError
+from resc.errors import ConfigError, nearest
 from resc.math.sampling import generator_for
 from resc.quantities import checked
 from resc.scenes.layout import Layout
@@ -29,14 +28,6 @@ ALLOWED = ("resc.", "torch.optim.")
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
 FUNCTIONS = ("resc.learning.networks.build_networks",)
 """Our only targets that are functions: others, `build` for one, would build what they are told."""
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """A sentence that suggests the nearest known name and lists them all."""
-    known = sorted(known)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f" Did you mean '{close[0]}'?" if close else ""
-    return f"{hint} Available: {', '.join(known) or 'none'}."
 
 
 def build(

@@ -1,5 +1,8 @@
 """The errors a user of RESC can meet; each message is one sentence of fact and one of help."""
 
+import difflib
+from collections.abc import Iterable
+
 
 class RescError(Exception):
     """Base of every error that a user can act on; the scripts print it without a traceback."""
@@ -31,3 +34,11 @@ class CallError(RescError, ValueError):
 
 class SweepError(RescError):
     """A sweep that ended with runs that failed or are not finished."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A sentence that suggests the nearest known name and lists them all."""
+    known = sorted(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f" Did you mean '{close[0]}'?" if close else ""
+    return f"{hint} Available: {', '.join(known) or 'none'}."

@@ -10,13 +10,8 @@ from torch import Tensor
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import StepOutput
-from resc.recording.rollouts import (
-    REWARD_TERMS,
-    STATE_COLUMNS,
-    record_world,
-    start_arrays,
-    with_success,
-)
+from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS
+from resc.recording.rollouts import record_world, start_arrays, with_flown, with_success
 from resc.recording.writer import RolloutRecorder
 
 BATCH_STEPS = 100
@@ -35,7 +30,7 @@ class FlightLog:
 
     def __init__(self, recorder: RolloutRecorder, env: QuadrotorEnv) -> None:
         self.recorder = recorder
-        self.state = [column.key for column in STATE_COLUMNS if column.key != keys.ACTION]
+        self.state = [column.key for column in STATE_COLUMNS]
         self.returns = torch.zeros(env.num_envs, device=env.device)
         self.scene = env.value_of(keys.SCENE_INDEX)[:, 0]
         self.first_step = 0
@@ -69,7 +64,7 @@ class FlightLog:
         """Hands over the steps collected so far."""
         if not self.steps:
             return
-        steps = cast(TensorDict, TensorDict.stack(self.steps))
+        steps = with_flown(cast(TensorDict, TensorDict.stack(self.steps)))
         episodes = cast(TensorDict, TensorDict.cat(self.ended)) if self.ended else None
         self.recorder.put(steps, self.first_step, with_success(episodes), start_arrays(self.starts))
         self.first_step += len(self.steps)

@@ -25,18 +25,15 @@ from resc.learning.ppo import RENEWED
 from resc.math.sampling import generator_for
 from resc.recording.configuration import require_groups
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import (
-    REWARD_TERMS,
-    STATE_COLUMNS,
-    provenance,
-    require_columns,
-)
+from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS, require_columns
+from resc.recording.rollouts import provenance
+from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import Selection
 from resc.run_folder import finish_run
 from resc.scenes.layout import Layout
 from resc.scenes.pool import ScenePool
 
-STATE = tuple(column.key for column in STATE_COLUMNS if column.key != keys.ACTION)
+STATE = tuple(column.key for column in STATE_COLUMNS)
 FLAGS = (keys.TERMINATED, keys.TRUNCATED)
 GROUPS = ("device", "env", "vehicle", "action", "rate_loop", "dynamics", "task", "observation")
 """Parts of a configuration without which nothing flies."""
@@ -205,7 +202,7 @@ def compare(
 
     Where the episode was `cut` from outside, its last flags are not the simulator's.
     """
-    require_columns(recorded, [keys.ACTION], "a replay")
+    require_columns(recorded, [SAMPLED_ACTION.key], "a replay")
     deviations = {key: 0.0 for key in (*STATE, *OUTPUTS) if recorded.get(key, None) is not None}
     if not deviations:
         raise RecordingError(
@@ -214,7 +211,7 @@ def compare(
         )
     for number, step in enumerate(recorded.to(env.device)):
         found = {key: env.value_of(key) for key in STATE}
-        out = env.advance(step[keys.ACTION].expand(env.num_envs, -1))
+        out = env.advance(step[SAMPLED_ACTION.key].expand(env.num_envs, -1))
         found |= {key: getattr(out, key[0]) for key in OUTPUTS}
         foreign = FLAGS if cut and number == len(recorded) - 1 else ()
         for key in deviations.keys() - foreign:

@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayBuffer
 from tqdm import tqdm
@@ -13,7 +14,8 @@ from tqdm import tqdm
 from resc import keys
 from resc.errors import RecordingError
 from resc.evaluation.replay import environment_in, recorded_config
-from resc.recording.rollouts import FLAGS, require_columns
+from resc.recording.columns import FLAGS, require_columns
+from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import TRAJECTORY, Selection
 
 ROWS = 256
@@ -51,7 +53,7 @@ def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None)
 
     `observation`, `action`, `("collector", "traj_ids")` (the episode's `index`) and, under `next`,
     `observation`, `reward`, `terminated`, `truncated`, `done`. Observations are not recorded: the
-    episodes are flown again with their recorded actions. So `config` may name others, and other
+    episodes are flown again from their sampled actions; `action` is what was flown, in [-1, 1]. So `config` may name others, and other
     rewards, than those recorded; ends are the recorded ones. Noise and dropouts of observations are
     drawn anew.
 
@@ -82,11 +84,13 @@ def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None)
 def _flown(episodes: Selection, config: Mapping[str, Any]) -> Iterator[TensorDict]:
     """The transitions of each episode `[T]`, all flown at once."""
     recorded = list(episodes)
-    require_columns(recorded[0], (keys.ACTION, *(flag.key for flag in FLAGS)), "a dataset")
+    needed = (keys.ACTION, SAMPLED_ACTION.key, *(flag.key for flag in FLAGS))
+    require_columns(recorded[0], needed, "a dataset")
     count, longest = len(recorded), max(map(len, recorded))
     # Uncompiled: a batch of another size, flown once, is not worth compiling for.
     env = environment_in({**config, "compile": False}, episodes.scenes(), count)
-    actions = pad_sequence([steps[keys.ACTION] for steps in recorded]).to(env.device)
+    sampled = [cast(Tensor, steps[SAMPLED_ACTION.key]) for steps in recorded]
+    actions = pad_sequence(sampled).to(env.device)
     world = episodes.starts()
     world[keys.SCENE_INDEX] = torch.arange(count).unsqueeze(-1)
     observations, rewards = [env.begin(world)], []
@@ -101,7 +105,7 @@ def _flown(episodes: Selection, config: Mapping[str, Any]) -> Iterator[TensorDic
         yield TensorDict(
             {
                 "observation": seen[:length, row],
-                "action": actions[:length, row],
+                "action": steps[keys.ACTION].to(env.device),
                 TRAJECTORY: torch.full((length,), number),
                 "next": {
                     "observation": seen[1 : length + 1, row],

@@ -20,7 +20,13 @@ from resc.errors import RecordingError
 from resc.learning.checkpoint import save_checkpoint, save_policy
 from resc.learning.ppo import RENEWED, Ppo
 from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
-from resc.recording.rollouts import open_recorder, record_world, start_arrays, with_success
+from resc.recording.rollouts import (
+    open_recorder,
+    record_world,
+    start_arrays,
+    with_flown,
+    with_success,
+)
 from resc.recording.writer import RolloutRecorder
 from resc.run_folder import CHECKPOINT, PROGRESS, ROLLOUTS, finish_run
 
@@ -174,7 +180,7 @@ def record_batch(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
         return
     start = trainer.statistics.start_step
     recorder.put(
-        trainer.batch,
+        with_flown(trainer.batch),
         start,
         with_success(trainer.statistics.episodes()),
         start_arrays(trainer.take_starts()),

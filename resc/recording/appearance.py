@@ -9,7 +9,7 @@ from torch import Tensor
 from resc import keys
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.episode_scene import EpisodeScene
-from resc.recording.rollouts import REWARD_TERMS
+from resc.recording.columns import REWARD_TERMS
 from resc.recording.scalars import Numbers
 
 TRAIL_STEPS = 5

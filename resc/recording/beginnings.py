@@ -9,9 +9,10 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from resc.errors import RecordingError
-from resc.recording.events import decode_arrays
+from resc.recording.events import before, decode_arrays
 from resc.recording.schema import STARTS, WORLD
 from resc.recording.source import Source
+from resc.recording.tensors import tensors_of
 
 Arrays = dict[str, Tensor]
 Numbers = Int[np.ndarray, " e"]
@@ -21,7 +22,7 @@ def worlds_at_start(sources: Sequence[Source], env_ids: Numbers, steps: Numbers)
     """All mutable state of some environments before the first steps of their episodes `[E]`.
 
     Args:
-        sources: The files of one recorder, oldest first.
+        sources: The files of one run, oldest first.
         env_ids: The environment of each episode.
         steps: The first step of each, counted since the run began.
 
@@ -74,15 +75,20 @@ def scenes_in_use(sources: Sequence[Source], scenes: Numbers, steps: Numbers) ->
     return {name: torch.stack([found[row][name] for row in range(len(asked))]) for name in names}
 
 
+def worlds(sources: Sequence[Source]) -> list[tuple[int, Arrays]]:
+    """First step and arrays of each set of scenes, in order."""
+    messages = (message for source in sources for message in source.messages(WORLD))
+    found = dict(decode_arrays(WORLD, message) for message in messages)
+    return [(step, tensors_of(found[step])) for step in sorted(found)]
+
+
 def _messages(sources: Sequence[Source], topic: str, last: int) -> Iterator[tuple[int, Arrays]]:
     """First steps and arrays of a topic's messages up to step `last`, in order."""
     for source in sources:
-        for chunk in source.chunks_of(topic):
-            for rows in source.rows(chunk, topic):
-                for i in range(rows.count):
-                    first_step, arrays = decode_arrays(topic, rows.message(i))
-                    if first_step <= last:
-                        yield first_step, arrays
+        for message in source.messages(topic):
+            first_step, arrays = decode_arrays(topic, message)
+            if first_step <= last:
+                yield first_step, tensors_of(before(source.limit, arrays))
 
 
 def _require_all(rows: Sequence[int], asked: Sequence[tuple[int, int]], what: str) -> None:

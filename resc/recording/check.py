@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from jaxtyping import Int, Shaped
-from mcap.reader import make_reader
 from tqdm import tqdm
 
 from resc.errors import RecordingError
@@ -16,7 +15,7 @@ from resc.recording.decode import Arrays, Batch, batches, read_environments
 from resc.recording.location import recordings_at
 from resc.recording.reader import RolloutLog
 from resc.recording.schema import ROLLOUT, Column
-from resc.recording.source import Source, open_recording, open_source
+from resc.recording.source import Source, open_source
 from resc.recording.tables import column_names
 
 _ENDS = ("terminated", "truncated", "done")
@@ -26,13 +25,14 @@ _TOLERANCE = 1e-3
 
 @dataclass
 class Checked:
-    """How much was looked at, and what is wrong, one sentence each."""
+    """How much was looked at, and what is wrong, one sentence each; `notes` are no faults."""
 
     files: int = 0
     batches: int = 0
     env_steps: int = 0
     episodes: int = 0
     faults: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
 def check(location: str | Path) -> Checked:
@@ -58,6 +58,7 @@ def check(location: str | Path) -> Checked:
             done.faults.append(str(error))
         return done
     with _noting(done):
+        done.notes += [f"{part}." for part in log.superseded]
         _check_steps(log, done)
     return done
 
@@ -94,6 +95,11 @@ def _check_file(path: Path, done: Checked) -> None:
         )
     if source is None:
         return
+    if source.copy is not None:
+        done.notes.append(
+            f"{path} was written again by another program: it is read whole, but slowly; 'recover' "
+            "makes it a file like RESC's own."
+        )
     source.attachments()
     counts = {}
     for topic in source.topics:
@@ -101,25 +107,15 @@ def _check_file(path: Path, done: Checked) -> None:
             counts[topic] = len(batches(source)) * source.specification.num_envs
             continue
         with _noting(done):
-            counts[topic] = len(source.messages(topic))
-    if source.complete:
-        said = _counts_in_summary(source)
+            counts[topic] = len(list(source.messages(topic)))
+    if source.complete and source.counts is not None:
+        said = {topic: source.counts.get(n, 0) for topic, n in source.topics.items()}
         done.faults += [
             f"{path} says it holds {said.get(topic, 0)} messages of {topic} and holds {count}; "
             "recover it."
             for topic, count in counts.items()
             if said.get(topic, 0) != count
         ]
-
-
-def _counts_in_summary(source: Source) -> dict[str, int]:
-    with open_recording(source.path) as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None  # it was read to open the source
-    if summary.statistics is None:
-        return {}
-    said = summary.statistics.channel_message_counts
-    return {topic: said.get(number, 0) for topic, number in source.topics.items()}
 
 
 def _check_steps(log: RolloutLog, done: Checked) -> None:
@@ -136,7 +132,8 @@ def _check_steps(log: RolloutLog, done: Checked) -> None:
             with _noting(done):
                 arrays = read_environments(log.columns, [batch], 0, log.num_envs - 1)
                 done.faults += _value_faults(log.columns, batch, arrays)
-                growing = not batch.source.complete and last[batch.source.path] == i
+                whole = batch.steps == batch.recorded and batch.source.limit is None
+                growing = whole and not batch.source.complete and last[batch.source.path] == i
                 ends = table["end_step"].to_numpy()[spans["episode"]]
                 done.faults += _end_faults(log.columns, batch, arrays, spans, ends, growing)
                 returns.add(arrays, spans)
@@ -148,14 +145,14 @@ def _check_steps(log: RolloutLog, done: Checked) -> None:
 
 def _listing_faults(log: RolloutLog) -> Iterator[str]:
     """What the table of episodes says of itself."""
-    table = log.episodes.with_columns(session=pl.Series(log.sessions, dtype=pl.String))
+    table = log.episodes.with_columns(run=pl.Series(log.runs, dtype=pl.String))
     length = pl.col("end_step") - pl.col("start_step") + 1
     rows = {
         "has another length than its first and last step say": length != pl.col("length"),
         "is of an environment that does not exist": pl.col("env_id") >= log.num_envs,
         "has a return that is not finite": ~pl.col("return_").is_finite(),
         "begins before the one before it in its environment ends": pl.col("start_step")
-        <= pl.col("end_step").shift(1).over("session", "env_id", order_by="start_step"),
+        <= pl.col("end_step").shift(1).over("run", "env_id", order_by="start_step"),
     }
     for what, wrong in rows.items():
         found = table.filter(wrong)["index"].to_list()

@@ -6,14 +6,11 @@ from functools import cached_property, lru_cache
 from itertools import groupby
 
 import numpy as np
-import torch
 from jaxtyping import Int, Shaped
-from tensordict import TensorDict
-from torch import Tensor
 
 from resc.errors import RecordingError
 from resc.recording import wire
-from resc.recording.schema import ROLLOUT, Column
+from resc.recording.schema import ACTION, ROLLOUT, SAMPLED_ACTION, Column
 from resc.recording.source import MESSAGE_HEAD, ChunkRef, Source
 
 Arrays = list[Shaped[np.ndarray, "t n _"]]
@@ -30,15 +27,10 @@ class Batch:
     start_step: int
     chunks: tuple[ChunkRef, ...]
 
-    @property
-    def session(self) -> str:
-        """The recorder that wrote it."""
-        return self.source.specification.session
-
     @cached_property
-    def steps(self) -> int:
-        """Its length, from the index."""
-        columns, chunk = self.source.specification.columns, self.chunks[-1]
+    def recorded(self) -> int:
+        """Its length in the file, from the index."""
+        columns, chunk = self.source.specification.stored, self.chunks[-1]
         if chunk is not self.source.chunks[0]:
             # All its messages are equally long, and it holds nothing else.
             size = chunk.size // (chunk.end_time - chunk.start_time + 1) - MESSAGE_HEAD
@@ -49,14 +41,25 @@ class Batch:
             raise _rearranged(self.source)
         return layout.steps
 
+    @property
+    def steps(self) -> int:
+        """Its length, without what a later part of the run took the place of."""
+        limit = self.source.limit
+        return self.recorded if limit is None else min(self.recorded, limit - self.start_step)
+
+    @property
+    def as_written(self) -> bool:
+        """Whether its fragments are those that would be written today."""
+        specification = self.source.specification
+        return self.steps == self.recorded and specification.stored == specification.columns
+
     def read(self, first: int, last: int, out: Arrays) -> None:
         """Puts the values of environments `first` to `last` into arrays."""
-        columns = self.source.specification.columns
         for found, layout, rows in self.fragments(first, last):
             low, high = max(first, found), min(last + 1, found + rows.count)
             if low < high:
                 here = [array[:, low - first : high - first] for array in out]
-                wire.decode_fragments(columns, layout, rows.part(low - found, high - found), here)
+                self._decode(layout, rows.part(low - found, high - found), here)
 
     def read_spans(
         self,
@@ -65,16 +68,16 @@ class Batch:
         out: Shaped[np.ndarray, " rows"],
     ) -> None:
         """Puts the steps of spans of this batch into records (`record_type`), from `targets` on."""
-        columns, wanted = self.source.specification.columns, spans["env_id"]
+        wanted = spans["env_id"]
         for found, layout, rows in self.fragments(int(wanted.min()), int(wanted.max())):
             chosen = (wanted >= found) & (wanted < found + rows.count)
             if not chosen.any():
                 continue
             here = spans[chosen]
             low, high = int(here["env_id"].min()), int(here["env_id"].max()) + 1
-            records = np.empty((high - low, layout.steps), out.dtype)
+            records = np.empty((high - low, self.steps), out.dtype)
             arrays = [records[name].swapaxes(0, 1) for name in out.dtype.names or ()]
-            wire.decode_fragments(columns, layout, rows.part(low - found, high - found), arrays)
+            self._decode(layout, rows.part(low - found, high - found), arrays)
             count = here["upper"] - here["lower"]
             within = ranges(count)
             env_ids, lowers = (np.repeat(here[name], count) for name in ("env_id", "lower"))
@@ -91,11 +94,11 @@ class Batch:
                 continue
             expected = chunk.start_time - origin
             for rows in self.source.rows(chunk, ROLLOUT):
-                layout, headers = _layout(specification.columns, rows.size), wire.headers(rows)
+                layout, headers = _layout(specification.stored, rows.size), wire.headers(rows)
                 env_ids = np.arange(expected, expected + rows.count)
                 if (
                     layout is None
-                    or layout.steps != self.steps
+                    or layout.steps != self.recorded
                     or (headers["start_step"] != self.start_step).any()
                     or (headers["env_id"] != env_ids).any()
                 ):
@@ -104,6 +107,18 @@ class Batch:
                 expected += rows.count
             if expected != chunk.end_time - origin + 1:
                 raise _rearranged(self.source)
+
+    def _decode(self, layout: wire.Layout, rows: wire.Rows, out: Arrays) -> None:
+        """Puts the values of some fragments into one array for each column."""
+        columns, stored = self.source.specification.columns, self.source.specification.stored
+        if stored == columns:
+            wire.decode_fragments(columns, layout, rows, out)
+            return
+        # Before format 4, `action` was the sample.
+        origins = [(column, ACTION if column == SAMPLED_ACTION else column) for column in columns]
+        wire.decode_fragments(columns, wire.with_copies(layout, stored, origins), rows, out)
+        action = out[columns.index(ACTION)]
+        action.clip(-1, 1, out=action)
 
 
 def batches(source: Source) -> list[Batch]:
@@ -114,7 +129,8 @@ def batches(source: Source) -> list[Batch]:
     for start_step, group in groupby(chunks, lambda chunk: chunk.start_time // dt_ns):
         batch, origin = Batch(source, start_step, tuple(group)), start_step * dt_ns
         starts = [chunk.start_time for chunk in batch.chunks] + [origin + num_envs]
-        if starts == [origin, *(chunk.end_time + 1 for chunk in batch.chunks)]:
+        count = sum(chunk.count for chunk in batch.chunks)
+        if count == num_envs and starts == [origin, *(c.end_time + 1 for c in batch.chunks)]:
             found.append(batch)
         elif source.complete:
             raise _rearranged(source)
@@ -191,19 +207,6 @@ def spans_of(
 def record_type(columns: tuple[Column, ...]) -> np.dtype:
     """One step of one environment: a field for each column, named by its number."""
     return np.dtype([(str(i), c.numpy_dtype, (c.width,)) for i, c in enumerate(columns)])
-
-
-def to_tensordict(columns: tuple[Column, ...], records: Shaped[np.ndarray, "..."]) -> TensorDict:
-    """Records with the recorded keys and shapes."""
-    result = TensorDict({}, batch_size=records.shape)
-    for i, column in enumerate(columns):
-        result[column.key] = as_tensor(column, records[str(i)].copy())
-    return result
-
-
-def as_tensor(column: Column, values: Shaped[np.ndarray, "*shape _"]) -> Tensor:
-    """The values of a column with their recorded shape."""
-    return torch.from_numpy(values).reshape(*values.shape[:-1], *(column.shape or ()))
 
 
 def ranges(counts: Int[np.ndarray, " s"]) -> Int[np.ndarray, " rows"]:

@@ -2,29 +2,26 @@
 
 from collections.abc import Iterable, Sequence
 
-import torch
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
 from resc import keys
-from resc.recording.rollouts import FLAGS, REWARD_TERMS, STATE_COLUMNS
+from resc.recording.columns import REWARD_TERMS, usual_columns
 from resc.recording.schema import (
+    ACTION,
     ARRAY_FIELDS,
     EPISODES,
     FIELDS,
     ROLLOUT,
+    SAMPLED_ACTION,
     SCHEMA_NAMES,
     STARTS,
     WORLD,
     Column,
     schema_data,
+    type_name,
 )
 
-USUAL_COLUMNS = (
-    *STATE_COLUMNS,
-    Column(keys.REWARD, (), torch.float32),
-    Column(REWARD_TERMS, ("name",), torch.float32),
-    *FLAGS,
-)
+USUAL_COLUMNS = usual_columns(("name",))
 """Columns of training and evaluation, with one reward term called `name`."""
 TOPICS = {
     ROLLOUT: "one message for each environment and batch; log time: its first step + `env_id` ns",
@@ -56,10 +53,15 @@ MEANINGS: dict[str, dict[str, tuple[str, str]]] = {
     STARTS: {"start_step": ("steps", f"{_STEP} that the batch begins with")},
 }
 """Unit and meaning of the fields that every file has."""
+_AXES = "roll, pitch, yaw rate, collective thrust"
 _OWN: dict[keys.NestedKey, keys.Declaration] = {
-    REWARD_TERMS: keys.Declaration((), "-", "weighted reward term, by name; they sum to `reward`")
+    ACTION.key: keys.Declaration((), "-", f"what was flown, in [-1, 1]: {_AXES}"),
+    SAMPLED_ACTION.key: keys.Declaration(
+        (), "-", "output of the policy, clipped to [-1, 1] before it is flown; for replays"
+    ),
+    REWARD_TERMS: keys.Declaration((), "-", "weighted reward term, by name; they sum to `reward`"),
 }
-"""Columns that only recordings have."""
+"""Columns that only recordings have, or that mean something else there."""
 _ARRAYS = {
     WORLD: {"entry": ("-", "entries of the scene pool that the rows of the other arrays are of")},
     STARTS: {
@@ -128,11 +130,11 @@ def _rows_after(topic: str, columns: Sequence[Column]) -> Iterable[Row]:
             yield _column_row(column)
     if topic in _ARRAYS:
         for name, (unit, meaning) in _ARRAYS[topic].items():
-            yield f"array `{name}`", ARRAY_FIELDS[torch.int64], unit, "", meaning
+            yield f"array `{name}`", ARRAY_FIELDS["int64"], unit, "", meaning
         for key in WORLD_KEYS if topic == WORLD else START_KEYS:
             name = key[-1] if topic == WORLD else ".".join(key)
             declared = keys.DECLARED[key]
-            kind = ARRAY_FIELDS[declared.dtype]
+            kind = ARRAY_FIELDS[type_name(declared.dtype)]
             yield f"array `{name}`", kind, declared.unit, _frame(key), declared.meaning
 
 

@@ -22,14 +22,14 @@ from resc.maps.observation import MapObservation
 from resc.math.rotation import heading
 from resc.recording.configuration import require_groups
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS, require_columns
+from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
 from resc.recording.sight import Pose, Shape, shapes
 from resc.scenes.layout import PARKED_M, rasterize
 from resc.simulation.vehicle import Vehicle
 from resc.term import Action, Context, Observation
 
 CONFIG = "config.yaml"
-NEEDED = (*(column.key for column in STATE_COLUMNS), keys.REWARD, REWARD_TERMS)
+NEEDED = (*FLOWN, keys.REWARD, REWARD_TERMS)
 """Columns that a scene is drawn from."""
 GROUPS = ("env", "vehicle", "action", "task", "observation")
 """Parts of the configuration that a scene is drawn from."""
@@ -229,7 +229,7 @@ def _sights(
     }
     count, last = len(passed), len(place.route) - 1
     ahead = torch.stack((passed, passed + 1), -1).clamp(max=last)
-    tensors = {column.key: cast(Tensor, steps[column.key]) for column in STATE_COLUMNS}
+    tensors = {key: cast(Tensor, steps[key]) for key in FLOWN}
     tensors |= {
         keys.CONTROL_POINTS_W: place.route[ahead],
         keys.SCENE_INDEX: torch.zeros(count, 1, dtype=torch.int64),

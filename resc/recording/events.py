@@ -4,18 +4,19 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-import torch
 from jaxtyping import Shaped
-from torch import Tensor
 
 from resc.errors import RecordingError
-from resc.recording.schema import ARRAY_FIELDS, EPISODE_KEYS, EPISODES, numpy_type
+from resc.recording.schema import ARRAY_FIELDS, EPISODE_KEYS, EPISODES, numpy_type, type_name
 from resc.recording.wire import delimited, fixed_fields, read_varint
 
 _OUTCOME = len(EPISODE_KEYS)
 FLOATS = ("return_", "difficulty")
 _ARRAYS, _NAME, _SHAPE = 2, 1, 2
-_VALUES = {dtype: number for number, dtype in enumerate(ARRAY_FIELDS, 3)}
+_VALUES = {name: number for number, name in enumerate(ARRAY_FIELDS, 3)}
+
+Named = Mapping[str, Shaped[np.ndarray, "..."]]
+"""Arrays of a message by name."""
 
 
 def encode_episodes(
@@ -49,31 +50,38 @@ def decode_episodes(messages: Sequence[bytes]) -> tuple[dict[str, np.ndarray], l
     return {name: records[name] for name in EPISODE_KEYS[:-1]}, outcomes
 
 
-def encode_arrays(topic: str, arrays: Mapping[str, Tensor], start_step: int) -> bytes:
+def encode_arrays(topic: str, arrays: Named, start_step: int) -> bytes:
     """One `resc.World` or `resc.Starts`: named arrays of any shape."""
     head = fixed_fields(topic, 1)
     head["start_step"] = start_step
     out = [head.tobytes()]
-    for name, tensor in arrays.items():
-        shape = struct.pack(f"<{tensor.ndim}I", *tensor.shape)
-        values = delimited(_VALUES[tensor.dtype], tensor.numpy().tobytes())
+    for name, array in arrays.items():
+        shape = struct.pack(f"<{array.ndim}I", *array.shape)
+        values = delimited(_VALUES[type_name(array.dtype)], array.tobytes())
         body = delimited(_NAME, name.encode()) + delimited(_SHAPE, shape) + values
         out.append(delimited(_ARRAYS, body))
     return b"".join(out)
 
 
-def decode_arrays(topic: str, message: bytes) -> tuple[int, dict[str, Tensor]]:
+def decode_arrays(topic: str, message: bytes) -> tuple[int, dict[str, Shaped[np.ndarray, "..."]]]:
     """Start step and arrays of one `resc.World` or `resc.Starts`."""
     head = fixed_fields(topic, 0).dtype
     start_step = int(np.frombuffer(message, head, 1)["start_step"][0])
     arrays = {}
     for _, body in _delimited_fields(message, head.itemsize):
         parts = dict(_delimited_fields(body))
-        dtype = next(dtype for dtype, number in _VALUES.items() if number in parts)
+        kind = next(kind for kind, number in _VALUES.items() if number in parts)
         shape = struct.unpack(f"<{len(parts[_SHAPE]) // 4}I", parts[_SHAPE])
-        values = np.ndarray(shape, numpy_type(dtype), parts[_VALUES[dtype]])
-        arrays[parts[_NAME].decode()] = torch.from_numpy(values.copy())
+        values = np.ndarray(shape, numpy_type(kind), parts[_VALUES[kind]])
+        arrays[parts[_NAME].decode()] = values.copy()
     return start_step, arrays
+
+
+def before(limit: int | None, arrays: Named) -> Named:
+    """Of the arrays of a message those of episodes that begin before a step; scenes as they are."""
+    if limit is None or "step" not in arrays or (arrays["step"] < limit).all():
+        return arrays
+    return {name: values[arrays["step"] < limit] for name, values in arrays.items()}
 
 
 def _delimited_fields(data: bytes, position: int = 0) -> Iterator[tuple[int, bytes]]:

@@ -23,7 +23,7 @@ from resc.evaluation.panel import BACKGROUND, COLLISION, DASHES, FRAME, OBSTACLE
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import REWARD_TERMS, STATE_COLUMNS, require_columns
+from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
 
 _COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 """Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""
@@ -43,7 +43,7 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
         RecordingError: The recording lacks a column, the scene or the configuration.
     """
     facts, steps = log.episodes.row(episode, named=True), log.episode(episode)
-    require_columns(steps, (*(column.key for column in STATE_COLUMNS), keys.REWARD), "a picture")
+    require_columns(steps, (*FLOWN, keys.REWARD), "a picture")
     time = np.arange(len(steps)) * log.dt_s
     commanded = rate_command(log, episode, steps)
     with mpl.rc_context({"font.size": 9, "font.family": "DejaVu Sans"}):

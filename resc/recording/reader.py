@@ -10,43 +10,40 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-import torch
 from jaxtyping import Int, Shaped
-from omegaconf import Container
-from tensordict import TensorDict
-from torch import Tensor
 
 from resc.errors import RecordingError
-from resc.recording import events
-from resc.recording.beginnings import scenes_in_use, worlds_at_start
-from resc.recording.configuration import parse
 from resc.recording.decode import (
     SPAN,
     Batch,
-    as_tensor,
     batches,
     ranges,
     read_environments,
     read_spans,
     spans_of,
-    to_tensordict,
 )
+from resc.recording.history import Superseded, joined, superseded
 from resc.recording.location import recordings_at
-from resc.recording.schema import WORLD, Column
+from resc.recording.schema import Column
 from resc.recording.selection import Selection
 from resc.recording.source import Source, open_source
 from resc.recording.specification import Specification
 from resc.recording.tables import ROWS, as_pandas, episode_table, step_table
 
 if TYPE_CHECKING:
+    # Imported where they are made: that takes longer than most commands do.
+    import omegaconf
     import pandas as pd
+    import tensordict
+    import torch
 
 
 class RolloutLog:
     """The recorded rollouts of a run: one file, those of a directory, of a run, or of a pattern.
 
     A file that was cut, or is still being written, is read up to its last complete batch; a later
-    `RolloutLog` of the same path sees what has been added.
+    `RolloutLog` of the same path sees what has been added. Of a run that was interrupted and
+    resumed, what was recorded twice is read once: as the resumed run recorded it.
     """
 
     def __init__(self, location: str | Path) -> None:
@@ -66,14 +63,29 @@ class RolloutLog:
                     "time step; open them one at a time."
                 )
         with _one_of(paths):
+            self._sources = joined(self._sources)
             self.batches = list(chain.from_iterable(batches(source) for source in self._sources))
         places: dict[tuple[str, int], Path] = {}
         for batch in self.batches:
-            other = places.setdefault((batch.session, batch.start_step), batch.source.path)
+            other = places.setdefault((batch.source.run, batch.start_step), batch.source.path)
             if other != batch.source.path:
                 raise RecordingError(
                     f"{batch.source.path} and {other} hold the same steps; leave one of them out."
                 )
+
+    def __repr__(self) -> str:
+        """What it holds, in a line: files, steps, environments, episodes."""
+        first, count = self.files[0], len(self.files)
+        more = f" and {count - 1} more file(s)" if count > 1 else ""
+        cut = "" if self.complete else ", cut or being written"
+        try:
+            episodes = f"{len(self):,} episodes"
+        except RecordingError:
+            episodes = "episodes damaged"
+        return (
+            f"RolloutLog({str(first)!r}{more}: {self.num_steps:,} steps of {self.num_envs:,} "
+            f"environments in {self.num_batches:,} batches, {episodes}{cut})"
+        )
 
     @property
     def files(self) -> list[Path]:
@@ -91,8 +103,10 @@ class RolloutLog:
         return self._sources[0].attachments()
 
     @property
-    def config(self) -> Container:
+    def config(self) -> "omegaconf.Container":
         """The configuration of the run, from the attachment `config.yaml`."""
+        from resc.recording.configuration import parse
+
         if "config.yaml" not in self.attachments:
             raise RecordingError(
                 f"{self.files[0]} has no attachment 'config.yaml'; it has {list(self.attachments)}."
@@ -134,6 +148,11 @@ class RolloutLog:
         """Whether all files were completed; the others were cut or are being written."""
         return all(source.complete for source in self._sources)
 
+    @cached_property
+    def superseded(self) -> list[Superseded]:
+        """What these files hold and no reader gives: a resumed run recorded it again."""
+        return superseded(self._sources)
+
     @property
     def start_steps(self) -> list[int]:
         """First control step of each batch."""
@@ -161,7 +180,7 @@ class RolloutLog:
     def __len__(self) -> int:
         return len(self.episodes)
 
-    def __iter__(self) -> Iterator[TensorDict]:
+    def __iter__(self) -> "Iterator[tensordict.TensorDict]":
         return iter(self.where())
 
     def where(self, *conditions: pl.Expr, **equal: object) -> Selection:
@@ -175,66 +194,71 @@ class RolloutLog:
         return Selection(self, self.episodes).where(*conditions, **equal)
 
     @cached_property
-    def worlds(self) -> list[tuple[int, dict[str, Tensor]]]:
+    def worlds(self) -> "list[tuple[int, dict[str, torch.Tensor]]]":
         """Scene arrays, each with the control step from which they were in use."""
-        messages = chain.from_iterable(source.messages(WORLD) for source in self._sources)
-        return sorted(
-            dict(events.decode_arrays(WORLD, message) for message in messages).items(),
-            key=lambda world: world[0],
-        )
+        from resc.recording.beginnings import worlds
+
+        return worlds(self._sources)
 
     @property
-    def world(self) -> dict[str, Tensor]:
+    def world(self) -> "dict[str, torch.Tensor]":
         """The scene arrays in use last; empty if none were recorded."""
         return self.worlds[-1][1] if self.worlds else {}
 
-    def batch(self, index: int) -> TensorDict:
+    def batch(self, index: int) -> "tensordict.TensorDict":
         """One collector batch, `[T, N]`."""
-        _require_index(index, -self.num_batches, self.num_batches, "batch", "batches")
+        require_index(index, self.num_batches, "batch", "batches")
         return self._read(0, self.num_envs - 1, [self.batches[index]])
 
-    def env(self, env_id: int) -> TensorDict:
+    def env(self, env_id: int) -> "tensordict.TensorDict":
         """All recorded steps of one environment, `[T_total]`; reads one chunk of each batch."""
-        _require_index(env_id, 0, self.num_envs, "environment", "environments")
+        require_index(env_id, self.num_envs, "environment", "environments")
         return self._read(env_id, env_id, self.batches)[:, 0]
 
-    def episode(self, index: int) -> TensorDict:
+    def episode(self, index: int) -> "tensordict.TensorDict":
         """The steps `[T]` of entry `index` of `episodes`, from its first to its last."""
-        count = len(self.episodes)
-        _require_index(index, -count, count, "episode", "episodes")
-        records, _ = self.steps_of(np.array([index % count]))
+        from resc.recording.tensors import to_tensordict
+
+        require_index(index, len(self), "episode", "episodes")
+        records, _ = self.steps_of(np.array([index]))
         return to_tensordict(self.columns, records)
 
-    def start(self, index: int) -> TensorDict:
+    def start(self, index: int) -> "tensordict.TensorDict":
         """All mutable state of the simulator before the first step of entry `index`, `[]`."""
-        _require_index(index, -len(self), len(self), "episode", "episodes")
-        return self.starts([index % len(self)])[0]
+        return self.starts([index])[0]
 
-    def scene(self, index: int) -> dict[str, Tensor]:
+    def scene(self, index: int) -> "dict[str, torch.Tensor]":
         """The obstacles, the start and the route that entry `index` of `episodes` was flown with.
 
         The arrays of `world`, without the axis of the pool.
         """
-        _require_index(index, -len(self), len(self), "episode", "episodes")
-        return {name: values[0] for name, values in self.scenes([index % len(self)]).items()}
+        return {name: values[0] for name, values in self.scenes([index]).items()}
 
-    def starts(self, numbers: Sequence[int]) -> TensorDict:
+    def starts(self, numbers: Sequence[int]) -> "tensordict.TensorDict":
         """As `start`, of several episodes `[E]`."""
+        import torch
+
+        from resc.recording.beginnings import worlds_at_start
+
         parts = [
             worlds_at_start(sources, rows["env_id"].to_numpy(), rows["start_step"].to_numpy())
-            for sources, rows in self._by_recorder(numbers)
+            for sources, rows in self._by_run(numbers)
         ]
         return torch.cat(parts)  # pyright: ignore[reportArgumentType, reportReturnType]
 
-    def scenes(self, numbers: Sequence[int]) -> dict[str, Tensor]:
+    def scenes(self, numbers: Sequence[int]) -> "dict[str, torch.Tensor]":
         """As `scene`, of several episodes, each array `[E, ...]`."""
+        import torch
+
+        from resc.recording.beginnings import scenes_in_use
+
         parts = [
             scenes_in_use(sources, rows["scene"].to_numpy(), rows["start_step"].to_numpy())
-            for sources, rows in self._by_recorder(numbers)
+            for sources, rows in self._by_run(numbers)
         ]
         return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
 
-    def to_tensordict(self) -> TensorDict:
+    def to_tensordict(self) -> "tensordict.TensorDict":
         """Everything recorded, `[T_total, N]`."""
         return self._read(0, self.num_envs - 1, self.batches)
 
@@ -281,9 +305,9 @@ class RolloutLog:
         return episode_table(self._sources, self.outcomes)
 
     @cached_property
-    def sessions(self) -> list[str]:
-        """The recorder that wrote each episode."""
-        files = {str(s.path): s.specification.session for s in self._sources}
+    def runs(self) -> list[str]:
+        """The run that each episode is of."""
+        files = {str(source.path): source.run for source in self._sources}
         return [files[file] for file in self._listed["file"]]
 
     @cached_property
@@ -291,23 +315,29 @@ class RolloutLog:
         """Where the recorded steps of the episodes are: `decode.SPAN`, by episode, then by time."""
         columns = ("index", "env_id", "start_step", "end_step")
         episodes = {name: self._listed[name].to_numpy() for name in columns}
-        owners, found = np.array(self.sessions, object), []
-        for session in dict.fromkeys(self.sessions):
-            numbers = [i for i, batch in enumerate(self.batches) if batch.session == session]
+        owners, found = np.array(self.runs, object), []
+        for run in dict.fromkeys(self.runs):
+            numbers = [i for i, batch in enumerate(self.batches) if batch.source.run == run]
             numbers.sort(key=lambda number: self.batches[number].start_step)
-            own = {name: values[owners == session] for name, values in episodes.items()}
+            own = {name: values[owners == run] for name, values in episodes.items()}
             found.append(spans_of(self.batches, np.array(numbers, np.int64), own))
         spans = np.concatenate([np.empty(0, SPAN), *found])
         return spans[np.argsort(spans["episode"], kind="stable")]
 
-    def _by_recorder(self, numbers: Sequence[int]) -> Iterator[tuple[list[Source], pl.DataFrame]]:
-        """Runs of episodes that one recorder wrote, with its files."""
-        for session, run in groupby(numbers, lambda number: self.sessions[number]):
-            sources = [s for s in self._sources if s.specification.session == session]
-            yield sources, self.episodes[list(run)]
+    def _by_run(self, numbers: Sequence[int]) -> Iterator[tuple[list[Source], pl.DataFrame]]:
+        """Consecutive episodes of one run, with its files."""
+        for number in numbers:
+            require_index(number, len(self), "episode", "episodes")
+        for run, group in groupby(numbers, lambda number: self.runs[number]):
+            sources = [source for source in self._sources if source.run == run]
+            yield sources, self.episodes[list(group)]
 
-    def _read(self, first: int, last: int, found: Sequence[Batch]) -> TensorDict:
+    def _read(self, first: int, last: int, found: Sequence[Batch]) -> "tensordict.TensorDict":
         """All steps of environments `first` to `last` in some batches."""
+        from tensordict import TensorDict
+
+        from resc.recording.tensors import as_tensor
+
         arrays = read_environments(self.columns, found, first, last)
         result = TensorDict({}, batch_size=arrays[0].shape[:2])
         for column, array in zip(self.columns, arrays, strict=True):
@@ -353,13 +383,22 @@ def _one_of(paths: Sequence[Path]) -> Iterator[None]:
         ) from error
 
 
-def _require_index(index: int, lowest: int, limit: int, what: str, plural: str) -> None:
-    if not lowest <= index < limit:
+def require_index(index: int, count: int, what: str, plural: str) -> None:
+    """Refuses a number that counts nothing recorded; a negative one does not count from the end.
+
+    Raises:
+        RecordingError: It is below 0, not below `count`, or no whole number.
+    """
+    if isinstance(index, bool) or not hasattr(index, "__index__") or not 0 <= index < count:
+        last = f"the last is {count - 1}" if count else "there is none"
         raise RecordingError(
-            f"There is no {what} {index}; the recording holds {limit} {plural}, counted from 0."
+            f"There is no {what} {index}; the recording holds {count} {plural}, counted from 0: "
+            f"{last}."
         )
 
 
 def _common(specification: Specification) -> Specification:
     """What files that are read together must agree on."""
-    return replace(specification, session="", outcomes=(), round_bits=None, every_n_batches=1)
+    own = {"session": "", "outcomes": (), "round_bits": None, "every_n_batches": 1}
+    written = {"earlier": (), "first_step": None, "format": ""}
+    return replace(specification, **own, **written)

@@ -22,6 +22,8 @@ _FRAME_HEAD_BYTES = 19  # of lz4; zstd's is one byte shorter
 _CHUNK_HEAD_BYTES = _HEAD.size + 44 + _FRAME_HEAD_BYTES  # with a codec's name of 4 letters
 _CODEC_ERRORS = (zstandard.ZstdError, RuntimeError, MemoryError)  # lz4 raises RuntimeError
 _CHECKSUM_BYTES = 4
+_INDEX_HEAD_BYTES, _INDEX_ENTRY_BYTES = _HEAD.size + 6, 16
+_BEFORE_COUNTS_BYTES = 8 + 2 + 4 * 4 + 16  # of all messages, schemas, ..., first and last time
 
 
 class DamagedError(ValueError):
@@ -48,41 +50,49 @@ class ChunkRef:
     compressed: int
     size: int
     codec: str
+    count: int
+    """Messages in it, as its index says."""
 
 
 @dataclass
 class Contents:
-    """What a file holds, and where."""
+    """What a file holds, and where; how many messages of each channel, if it says so."""
 
     complete: bool
+    counts: dict[int, int] | None = None
     topics: dict[str, int] = field(default_factory=dict)
     chunks: list[ChunkRef] = field(default_factory=list)
     metadata: list[Place] = field(default_factory=list)
     attachments: list[Place] = field(default_factory=list)
 
 
-class _Fields:
+class Fields:
     """The fields of a record, one after the other, and never past its end."""
 
     def __init__(self, data: bytes | memoryview) -> None:
         self._data, self._at = memoryview(data), 0
 
     def take(self, size: int) -> memoryview:
+        """The next bytes."""
         start, self._at = self._at, self._at + size
         require(self._at <= len(self._data))
         return self._data[start : self._at]
 
     def number(self, size: int = 8) -> int:
+        """The next unsigned integer."""
         return int.from_bytes(self.take(size), "little")
 
     def text(self) -> str:
+        """The next string."""
         return bytes(self.take(self.number(4))).decode()
 
-    def block(self) -> "_Fields":
-        return _Fields(self.take(self.number(4)))
+    def block(self) -> "Fields":
+        """The fields of the next map or array."""
+        return Fields(self.take(self.number(4)))
 
     @property
     def left(self) -> int:
+        """Bytes not yet taken."""
         return len(self._data) - self._at
 
 
@@ -103,7 +113,7 @@ def read_record(file: IO[bytes], place: Place, opcode: Opcode) -> memoryview:
 
 def read_metadata(file: IO[bytes], place: Place) -> tuple[str, dict[str, str]]:
     """Name and entries of a metadata record; the format has no checksum of them."""
-    fields = _Fields(read_record(file, place, Opcode.METADATA))
+    fields = Fields(read_record(file, place, Opcode.METADATA))
     name, block, entries = fields.text(), fields.block(), {}
     while block.left:
         entry = block.text()
@@ -111,21 +121,46 @@ def read_metadata(file: IO[bytes], place: Place) -> tuple[str, dict[str, str]]:
     return name, entries
 
 
-def read_attachment(file: IO[bytes], place: Place) -> tuple[str, bytes]:
-    """Name and content of an attachment."""
+def read_attachment(file: IO[bytes], place: Place, *, unchecked: bool = False) -> tuple[str, bytes]:
+    """Name and content of an attachment; if `unchecked`, a checksum of zero stands for none."""
     content = read_record(file, place, Opcode.ATTACHMENT)
-    fields = _Fields(content)
+    fields = Fields(content)
     fields.take(16)  # log time, creation time
     name, _ = fields.text(), fields.text()
     data = bytes(fields.take(fields.number()))
-    require(zlib.crc32(content[:-_CHECKSUM_BYTES]) == fields.number(_CHECKSUM_BYTES))
+    checksum = zlib.crc32(content[:-_CHECKSUM_BYTES])
+    require(fields.number(_CHECKSUM_BYTES) in (checksum, *([0] if unchecked else [])))
     return name, data
+
+
+def library(file: IO[bytes], size: int) -> str | None:
+    """The program that wrote a file, as its header says; None if that is damaged or cut."""
+    opcode, place = next(records(file, size), (0, Place(0, 0)))
+    try:
+        require(opcode == Opcode.HEADER)
+        fields = Fields(read_record(file, place, Opcode.HEADER))
+        fields.text()  # the profile
+        return fields.text()
+    except ValueError:
+        return None
+
+
+def ends(file: IO[bytes], size: int) -> bool:
+    """Whether a file ends as a complete one does."""
+    file.seek(max(0, size - len(MCAP0_MAGIC)))
+    return file.read() == MCAP0_MAGIC
+
+
+def is_summed(file: IO[bytes], size: int) -> bool:
+    """Whether the footer has a checksum of the summary: one that RESC wrote does."""
+    file.seek(max(0, size - len(MCAP0_MAGIC) - _CHECKSUM_BYTES))
+    return file.read(_CHECKSUM_BYTES) != bytes(_CHECKSUM_BYTES)
 
 
 def read_chunk(file: IO[bytes], chunk: ChunkRef) -> bytes:
     """The messages of a chunk and what lies between them, uncompressed."""
     record = read_record(file, Place(chunk.offset, chunk.length), Opcode.CHUNK)
-    fields = _Fields(record)
+    fields = Fields(record)
     start, end, size = fields.number(), fields.number(), fields.number()
     checksum, codec, compressed = fields.number(_CHECKSUM_BYTES), fields.text(), fields.number()
     found = (start, end, size, codec, compressed)
@@ -171,14 +206,14 @@ def read_summary(file: IO[bytes], size: int) -> Contents:
     file.seek(start)
     data = file.read(footer_at + _FOOTER_BYTES - _CHECKSUM_BYTES - start)
     require(zlib.crc32(data) == checksum)
-    contents, fields = Contents(complete=True), _Fields(data[: footer_at - start])
+    contents, fields = Contents(complete=True), Fields(data[: footer_at - start])
     while fields.left:
         opcode, length = fields.number(1), fields.number()
-        _add_summary(contents, opcode, _Fields(fields.take(length)))
+        _add_summary(contents, opcode, Fields(fields.take(length)))
     return contents
 
 
-def _add_summary(contents: Contents, opcode: int, fields: _Fields) -> None:
+def _add_summary(contents: Contents, opcode: int, fields: Fields) -> None:
     if opcode == Opcode.CHANNEL:
         number = fields.number(2)
         fields.number(2)  # its schema
@@ -189,10 +224,16 @@ def _add_summary(contents: Contents, opcode: int, fields: _Fields) -> None:
         while indexes.left:
             channels.add(indexes.number(2))
             indexes.number()  # where its index is
-        fields.number()  # length of all indexes
+        count = (fields.number() - len(channels) * _INDEX_HEAD_BYTES) // _INDEX_ENTRY_BYTES
         codec, compressed, size = fields.text(), fields.number(), fields.number()
-        chunk = ChunkRef(frozenset(channels), start, end, offset, length, compressed, size, codec)
-        contents.chunks.append(chunk)
+        found = (start, end, offset, length, compressed, size, codec, count)
+        contents.chunks.append(ChunkRef(frozenset(channels), *found))
+    elif opcode == Opcode.STATISTICS:
+        fields.take(_BEFORE_COUNTS_BYTES)
+        counts, contents.counts = fields.block(), {}
+        while counts.left:
+            channel = counts.number(2)
+            contents.counts[channel] = counts.number()
     elif opcode == Opcode.METADATA_INDEX:
         contents.metadata.append(Place(fields.number(), fields.number()))
     elif opcode == Opcode.ATTACHMENT_INDEX:
@@ -206,7 +247,7 @@ def scan(file: IO[bytes], size: int) -> Contents:
     counts once its index is there; one without was still being written.
     """
     contents, chunk = Contents(complete=False), None
-    for opcode, place in _records(file, size):
+    for opcode, place in records(file, size):
         if (chunk is not None) != (opcode == Opcode.MESSAGE_INDEX):
             break
         if chunk is not None:
@@ -226,7 +267,19 @@ def scan(file: IO[bytes], size: int) -> Contents:
     return contents
 
 
-def _records(file: IO[bytes], size: int) -> Iterator[tuple[int, Place]]:
+def places(file: IO[bytes], size: int) -> Contents:
+    """Where metadata and attachments of a file lie, whatever else it holds."""
+    contents = Contents(complete=ends(file, size))
+    for opcode, place in records(file, size):
+        if opcode == Opcode.METADATA:
+            contents.metadata.append(place)
+        elif opcode == Opcode.ATTACHMENT:
+            contents.attachments.append(place)
+    return contents
+
+
+def records(file: IO[bytes], size: int) -> Iterator[tuple[int, Place]]:
+    """Kind and place of each record, up to where a file was cut or its lengths make no sense."""
     offset = len(MCAP0_MAGIC)
     while offset + _HEAD.size <= size:
         file.seek(offset)
@@ -243,27 +296,27 @@ def _records(file: IO[bytes], size: int) -> Iterator[tuple[int, Place]]:
 
 def _indexed(file: IO[bytes], chunk: Place, index: Place) -> ChunkRef:
     """A chunk, from its own head and from the index after it, which must agree."""
-    fields = _Fields(read_record(file, index, Opcode.MESSAGE_INDEX))
+    fields = Fields(read_record(file, index, Opcode.MESSAGE_INDEX))
     channel, entries = fields.number(2), fields.take(fields.number(4))
     times = np.frombuffer(entries, "<u8").reshape(-1, 2)[:, 0]
     file.seek(chunk.offset + _HEAD.size)
-    head = _Fields(file.read(min(chunk.length, _CHUNK_HEAD_BYTES) - _HEAD.size))
+    head = Fields(file.read(min(chunk.length, _CHUNK_HEAD_BYTES) - _HEAD.size))
     start, end, size = head.number(), head.number(), head.number()
     head.take(_CHECKSUM_BYTES)
     codec, compressed = head.text(), head.number()
     require(len(times) > 0 and (int(times.min()), int(times.max())) == (start, end))
     beginning = head.take(min(head.left, compressed, _FRAME_HEAD_BYTES))
     require(_uncompressed_size(beginning, codec, compressed) == size)
-    channels = frozenset([channel])
-    return ChunkRef(channels, start, end, chunk.offset, chunk.length, compressed, size, codec)
+    found = (start, end, chunk.offset, chunk.length, compressed, size, codec, len(times))
+    return ChunkRef(frozenset([channel]), *found)
 
 
 def _topics(data: bytes) -> dict[str, int]:
     """Channel numbers by topic; the first chunk of a file lists them."""
-    topics, fields = {}, _Fields(data)
+    topics, fields = {}, Fields(data)
     while fields.left:
         opcode, length = fields.number(1), fields.number()
-        record = _Fields(fields.take(length))
+        record = Fields(fields.take(length))
         if opcode == Opcode.CHANNEL:
             number = record.number(2)
             record.number(2)  # its schema

@@ -1,4 +1,4 @@
-"""Recordings written anew: what a cut or damaged file still holds, or several files as one."""
+"""Recordings written again: what a cut or damaged file still holds, or several files as one."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -11,10 +11,12 @@ from tqdm import tqdm
 
 from resc.errors import RecordingError
 from resc.recording import wire
-from resc.recording.decode import Batch, batches
+from resc.recording.decode import Batch, batches, read_environments
+from resc.recording.events import before, decode_arrays, encode_arrays
+from resc.recording.history import joined
 from resc.recording.output import replacing
 from resc.recording.records import ChunkRef
-from resc.recording.schema import ROLLOUT
+from resc.recording.schema import ROLLOUT, STARTS
 from resc.recording.segments import ACTIVE, FileHead, Message, Segment
 from resc.recording.source import Source, open_source
 
@@ -26,7 +28,7 @@ _SEQUENCE, _LOG_TIME, _PUBLISH_TIME = -20, -16, -8
 
 @dataclass
 class Rewritten:
-    """What came of writing a file anew: batches kept, and what had to be left out, in words."""
+    """What came of writing a file again: batches kept, and what had to be left out, in words."""
 
     batches: int = 0
     lost: list[str] = field(default_factory=list)
@@ -42,14 +44,32 @@ class _Piece:
     batch: Batch | None = None
 
     def messages(self) -> tuple[int, list[Message]]:
-        """Publish time and messages."""
+        """Publish time and messages, without what a later part of the run recorded again."""
         if self.batch is not None:
             last = self.source.specification.num_envs - 1
             runs = [rows for _, _, rows in self.batch.fragments(0, last)]
-        else:
-            runs = [rows for chunk in self.chunks for rows in self.source.rows(chunk, self.topic)]
-        published = int(runs[0].view(np.dtype("<u8"), _PUBLISH_TIME)[0, 0])
-        return published, [message for rows in runs for message in _messages(rows)]
+            published = int(runs[0].view(np.dtype("<u8"), _PUBLISH_TIME)[0, 0])
+            messages = [message for rows in runs for message in _messages(rows)]
+            return published, messages if self.batch.as_written else _encoded(self.batch, messages)
+        found = [message for c in self.chunks for message in self.source.messages_in(c, self.topic)]
+        messages = [(time, number, self._kept(data)) for time, number, _, data in found]
+        return found[0][2], messages
+
+    def _kept(self, data: bytes) -> bytes:
+        if self.topic != STARTS or self.source.limit is None:
+            return data
+        step, arrays = decode_arrays(STARTS, data)
+        return encode_arrays(STARTS, before(self.source.limit, arrays), step)
+
+
+def _encoded(batch: Batch, messages: Sequence[Message]) -> list[Message]:
+    """The messages of a batch with the columns of today, up to where the run was resumed."""
+    columns, last = batch.source.specification.columns, batch.source.specification.num_envs - 1
+    number = int(wire.headers(next(batch.fragments(0, 0))[2])["batch"][0])
+    arrays = read_environments(columns, [batch], 0, last)
+    fragments = wire.encode_fragments(columns, arrays, number, batch.start_step)
+    pairs = zip(messages, fragments, strict=True)
+    return [(time, sequence, data) for (time, sequence, _), data in pairs]
 
 
 def recover(path: Path, target: Path) -> Rewritten:
@@ -58,7 +78,7 @@ def recover(path: Path, target: Path) -> Rewritten:
     A batch is kept if all its fragments are there and undamaged; `path` stays as it is.
 
     Raises:
-        RecordingError: Not even the description at its beginning can be read.
+        RecordingError: Not even the description at its beginning can be read, or nothing follows.
     """
     found = _described(path)
     # As of a file that was cut: batches of which something is missing are no reason to stop.
@@ -75,6 +95,12 @@ def recover(path: Path, target: Path) -> Rewritten:
         attachments = {}
         done.lost.append(f"attachments: {error}")
     head = FileHead(source.specification, source.metadata, attachments)
+    if not _pieces(source):
+        raise RecordingError(
+            f"{path} holds no whole batch and no episode, so there is nothing to recover"
+            + "".join(f"; {loss}" for loss in done.lost)
+            + "."
+        )
     _write([source], head, target, done)
     return done
 
@@ -82,13 +108,14 @@ def recover(path: Path, target: Path) -> Rewritten:
 def merge(paths: Sequence[Path], target: Path) -> Rewritten:
     """Writes the batches of several files, in the order of time, to one.
 
-    Files of a run that was interrupted and resumed are merged, too: the facts about its later parts
-    are in `merged` of the metadata, attachments that differ get a number.
+    Files of a run that was interrupted and resumed are merged, too: what the resumed run recorded
+    again is taken from it alone. The facts about its later parts are in `merged` of the metadata,
+    attachments that differ get a number.
 
     Raises:
         RecordingError: The files do not describe the same columns, or hold the same steps.
     """
-    sources = sorted(map(_described, paths), key=_first_step)
+    sources = sorted(map(_described, paths), key=lambda source: source.first_step or 0)
     head = sources[0]
     for source in sources[1:]:
         for name in ("columns", "num_envs", "dt_s", "round_bits", "every_n_batches"):
@@ -98,6 +125,7 @@ def merge(paths: Sequence[Path], target: Path) -> Rewritten:
                     f"{source.path} and {head.path} differ in {name}; only files of one run, or of "
                     "one that was resumed, can be merged."
                 )
+    sources = sorted(joined(sources), key=_begin)
     for one, other in pairwise(source for source in sources if batches(source)):
         first = batches(other)[0].start_step
         if first < batches(one)[-1].start_step + batches(one)[-1].steps:
@@ -154,7 +182,9 @@ def _messages(rows: wire.Rows) -> Iterator[Message]:
 def _merged_head(sources: Sequence[Source]) -> FileHead:
     first = sources[0]
     outcomes = dict.fromkeys(name for s in sources for name in s.specification.outcomes)
-    specification = replace(first.specification, outcomes=tuple(outcomes))
+    specification = replace(
+        first.specification, outcomes=tuple(outcomes), first_step=first.first_step
+    )
     metadata, attachments = dict(first.metadata), first.attachments()
     others = [source.metadata for source in sources[1:] if source.metadata != first.metadata]
     if others:
@@ -176,7 +206,6 @@ def _described(path: Path) -> Source:
     return source
 
 
-def _first_step(source: Source) -> int:
-    """The first step that something in a file is about; a file may hold nothing but scenes."""
-    times = (chunk.start_time for chunk in source.chunks)
-    return min(times, default=0) // source.specification.dt_ns
+def _begin(source: Source) -> int:
+    """The first step that something in a file is about."""
+    return min((chunk.start_time for chunk in source.chunks), default=0)

@@ -3,7 +3,7 @@
 import hashlib
 import platform
 import subprocess
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,28 +16,15 @@ from torch import nn
 from resc import keys
 from resc.build import build
 from resc.envs.stages import Stages, World
-from resc.errors import RecordingError
-from resc.recording.schema import Column
+from resc.recording.columns import usual_columns
+from resc.recording.schema import SAMPLED_ACTION, Column
 from resc.recording.writer import RolloutRecorder
 from resc.scenes.pool import ScenePool
 
-STATE_COLUMNS = (
-    Column(keys.POSITION_W, ("x", "y", "z"), torch.float32, "m", "world"),
-    Column(keys.VELOCITY_W, ("x", "y", "z"), torch.float32, "m/s", "world"),
-    Column(keys.ATTITUDE_WB, ("w", "x", "y", "z"), torch.float32, "-", "body to world"),
-    Column(keys.BODY_RATE_B, ("x", "y", "z"), torch.float32, "rad/s", "body"),
-    Column(keys.ACTION, ("p", "q", "r", "thrust"), torch.float32, "-", ""),
-)
-"""The state before a step and the action taken in it."""
-FLAGS = tuple(Column(key, (), torch.bool) for key in (keys.TERMINATED, keys.TRUNCATED))
-REWARD_TERMS = ("reward_terms",)
-
 
 def rollout_columns(stages: Stages) -> tuple[Column, ...]:
-    """State and action before each step, its reward, whole and by weighted term, and its end."""
-    names = tuple(term.name for term in stages.terms.rewards)
-    reward = Column(keys.REWARD, (), torch.float32)
-    return (*STATE_COLUMNS, reward, Column(REWARD_TERMS, names, torch.float32), *FLAGS)
+    """State before each step, its action, its reward, whole and by weighted term, and its end."""
+    return usual_columns(tuple(term.name for term in stages.terms.rewards))
 
 
 def open_recorder(
@@ -105,18 +92,13 @@ def start_arrays(
     }
 
 
-def require_columns(steps: TensorDictBase, wanted: Iterable[keys.NestedKey], reader: str) -> None:
-    """Refuses recorded steps that lack a column.
+def with_flown(steps: TensorDictBase) -> TensorDictBase:
+    """Steps whose action was sampled, with what was flown of it as `action`, and the sample beside.
 
-    Raises:
-        RecordingError: It names the column, and the `reader` that needs it.
+    The environment clips an action to [-1, 1]; training learns from the sample.
     """
-    missing = [key for key in wanted if steps.get(key, None) is None]
-    if missing:
-        raise RecordingError(
-            f"The recording holds no column {'.'.join(missing[0])}, which {reader} needs; record "
-            "with recorder.fields=null."
-        )
+    sampled = steps[keys.ACTION]
+    return steps.copy().update({keys.ACTION: sampled.clamp(-1, 1), SAMPLED_ACTION.key: sampled})
 
 
 def with_success(episodes: TensorDict | None) -> TensorDict | None:

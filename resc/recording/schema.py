@@ -4,10 +4,9 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import torch
 from google.protobuf.descriptor_pb2 import (
     DescriptorProto,
     FieldDescriptorProto,
@@ -16,6 +15,9 @@ from google.protobuf.descriptor_pb2 import (
 )
 
 from resc.errors import ConfigError
+
+if TYPE_CHECKING:
+    import torch
 
 ROLLOUT, EPISODES, WORLD, STARTS = "/rollout", "/episodes", "/world", "/starts"
 SCHEMA_NAMES = {
@@ -27,13 +29,13 @@ SCHEMA_NAMES = {
 
 _Field = FieldDescriptorProto
 # Fixed-width types only: a packed repeated field is then a little-endian array, as numpy has it.
-_TYPES: dict[torch.dtype, tuple[str, int]] = {
-    torch.float32: ("<f4", _Field.TYPE_FLOAT),
-    torch.bool: ("?", _Field.TYPE_BOOL),
-    torch.int32: ("<i4", _Field.TYPE_SFIXED32),
-    torch.uint32: ("<u4", _Field.TYPE_FIXED32),
+# By the name that NumPy and PyTorch share: importing torch takes longer than most commands do.
+_TYPES: dict[str, tuple[str, int]] = {
+    "float32": ("<f4", _Field.TYPE_FLOAT),
+    "bool": ("?", _Field.TYPE_BOOL),
+    "int32": ("<i4", _Field.TYPE_SFIXED32),
+    "uint32": ("<u4", _Field.TYPE_FIXED32),
 }
-DTYPE_NAMES = {str(dtype).removeprefix("torch."): dtype for dtype in _TYPES}
 
 FIELDS: dict[str, dict[str, int]] = {
     ROLLOUT: {
@@ -59,7 +61,7 @@ FIELDS: dict[str, dict[str, int]] = {
 """Scalar fields of each message, numbered from 1; the others but episodes go on with arrays."""
 EPISODE_KEYS = tuple(FIELDS[EPISODES])
 # Wide integers only here: browsers cannot plot them, but nothing plots scenes and starts.
-_ARRAY_TYPES = _TYPES | {torch.int64: ("<i8", _Field.TYPE_SFIXED64)}
+_ARRAY_TYPES = _TYPES | {"int64": ("<i8", _Field.TYPE_SFIXED64)}
 ARRAY_FIELDS = dict(zip(_ARRAY_TYPES, ("floats", "bools", "ints", "uints", "longs"), strict=True))
 """Field of a named array of `resc.World` and `resc.Starts` for each type, numbered from 3."""
 
@@ -67,17 +69,23 @@ ARRAY_FIELDS = dict(zip(_ARRAY_TYPES, ("floats", "bools", "ints", "uints", "long
 _NAME = re.compile(r"[a-z][A-Za-z0-9_]*")
 
 
+def type_name(dtype: object) -> str:
+    """Name of a type of NumPy or PyTorch without its library, such as `float32`."""
+    return str(dtype).removeprefix("torch.")
+
+
 @dataclass(frozen=True)
 class Column:
     """One leaf `[T, N, *shape]` of the recorded TensorDict, and the plot names of its components.
 
     `components` are in the row-major order of `shape`; a scalar has none. Without `shape` a leaf
-    has one trailing axis as long as its components, and a scalar is `[T, N, 1]`.
+    has one trailing axis as long as its components, and a scalar is `[T, N, 1]`. A type is one of
+    PyTorch's, or its name, which is what `dtype_name` keeps.
     """
 
     key: tuple[str, ...]
     components: tuple[str, ...]
-    dtype: torch.dtype
+    dtype_name: "torch.dtype | str"
     unit: str = ""
     frame: str = ""
     shape: tuple[int, ...] | None = None
@@ -86,11 +94,10 @@ class Column:
         width = max(1, len(self.components))
         shape = (width,) if self.shape is None else tuple(self.shape)
         object.__setattr__(self, "shape", shape)
-        known, plain = (
-            ", ".join(DTYPE_NAMES),
-            "a lower-case letter, then letters, digits, underscores",
-        )
-        self._require(self.dtype in _TYPES, f"has dtype {self.dtype}; expected one of {known}")
+        object.__setattr__(self, "dtype_name", type_name(self.dtype_name))
+        known, plain = ", ".join(_TYPES), "a lower-case letter, then letters, digits, underscores"
+        kind = f"has dtype {self.dtype_name}; expected one of {known}"
+        self._require(self.dtype_name in _TYPES, kind)
         names = f"names {width} component(s) for shape {shape}; name one for each value"
         self._require(math.prod(shape) == width, names)
         for name in (*self.key, *self.components):
@@ -106,14 +113,22 @@ class Column:
         return max(1, len(self.components))
 
     @property
-    def dtype_name(self) -> str:
-        """Name of the type without its library, such as `float32`."""
-        return str(self.dtype).removeprefix("torch.")
+    def dtype(self) -> "torch.dtype":
+        """Type of the leaf."""
+        import torch
+
+        return getattr(torch, str(self.dtype_name))
 
     @property
     def numpy_dtype(self) -> np.dtype:
         """Type of one value on the wire."""
-        return numpy_type(self.dtype)
+        return numpy_type(str(self.dtype_name))
+
+
+ACTION = Column(("action",), ("p", "q", "r", "thrust"), "float32", "-")
+"""What is flown: the sample of the policy, clipped to [-1, 1]."""
+SAMPLED_ACTION = Column(("sampled_action",), ACTION.components, "float32", "-")
+"""The sample itself, from which a replay flies. Before format 4 it was recorded as `action`."""
 
 
 class Leaf(NamedTuple):
@@ -158,7 +173,9 @@ def _add_field(
 def _add_tree(message: DescriptorProto, tree: Tree, columns: Sequence[Column], scope: str) -> None:
     for name, child in tree.items():
         if isinstance(child, Leaf):
-            _add_field(message, name, _TYPES[columns[child.column].dtype][1], repeated=True)
+            _add_field(
+                message, name, _TYPES[str(columns[child.column].dtype_name)][1], repeated=True
+            )
         else:
             nested = message.nested_type.add(name=name[0].upper() + name[1:])
             field = _add_field(message, name, _Field.TYPE_MESSAGE)
@@ -186,6 +203,6 @@ def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
     return FileDescriptorSet(file=[file]).SerializeToString()
 
 
-def numpy_type(dtype: torch.dtype) -> np.dtype:
+def numpy_type(name: str) -> np.dtype:
     """Type of one value on the wire."""
-    return np.dtype(_ARRAY_TYPES[dtype][0])
+    return np.dtype(_ARRAY_TYPES[name][0])

@@ -7,7 +7,7 @@ import math
 import mimetypes
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -18,9 +18,11 @@ from resc.recording.schema import SCHEMA_NAMES, schema_data
 from resc.recording.specification import Specification, require, sealed
 
 ACTIVE = ".active"
+LIBRARY = "resc"
+"""What the header of a file names as the program that wrote it."""
 PATTERN = "rollouts_*.mcap"
 # Only these are counted and deleted: a file renamed by hand is the user's.
-_NUMBERED = "rollouts_[0-9][0-9][0-9][0-9][0-9].mcap"
+NUMBERED = "rollouts_[0-9][0-9][0-9][0-9][0-9].mcap"
 _CHUNK_BYTES = 1 << 19  # of 1 << 20, one environment takes 1.7 times as long to read
 _COMPRESSION = {
     "zstd": CompressionType.ZSTD,
@@ -98,7 +100,7 @@ class Segment:
 
     def _start(self, head: FileHead) -> None:
         writer, columns = self._writer, head.specification.columns
-        writer.start(profile="", library="resc")
+        writer.start(profile="", library=LIBRARY)
         writer.add_metadata("resc.run", sealed(head.metadata))
         writer.add_metadata("resc.spec", head.specification.to_metadata())
         for name, data in head.attachments.items():
@@ -195,7 +197,7 @@ class Segments:
         self._max_bytes = math.inf if max_gb is None else max_gb * 1e9
         directory.mkdir(parents=True, exist_ok=True)
         self._claim = _Claim(directory)
-        self._sizes = {path: path.stat().st_size for path in sorted(directory.glob(_NUMBERED))}
+        self._sizes = {path: path.stat().st_size for path in sorted(directory.glob(NUMBERED))}
         self._full = when_full == "stop" and sum(self._sizes.values()) >= self._max_bytes
         self._pinned: tuple[str, Callable[[], bytes]] | None = None
         self._active: Segment | None = None
@@ -214,11 +216,17 @@ class Segments:
                 "record less with recorder.every_n_batches."
             )
         if self._active is None:
-            taken = (path.name for path in self._directory.glob(_NUMBERED + "*"))
+            taken = (path.name for path in self._directory.glob(NUMBERED + "*"))
             number = max((int(name[9:14]) for name in taken), default=-1) + 1
             path = self._directory / f"rollouts_{number:05d}.mcap"
             self._active = Segment(path, self._head, self._compression)
         return self._active
+
+    def begin(self, step: int) -> None:
+        """Note the first step of all, which the files after this one name."""
+        if self._head.specification.first_step is None:
+            specification = replace(self._head.specification, first_step=step)
+            self._head = replace(self._head, specification=specification)
 
     def append(self, topic: str, messages: Sequence[Message], publish_time: int) -> None:
         """Write messages; a file begins with the pinned one, which is news of its topic, too."""

@@ -5,19 +5,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-import torch
 from jaxtyping import Int
-from omegaconf import Container
 from polars.exceptions import PolarsError
-from tensordict import TensorDict
 
-from resc.build import nearest
-from resc.errors import RecordingError
-from resc.recording.decode import ranges, to_tensordict
+from resc.errors import RecordingError, nearest
+from resc.recording.decode import ranges
 from resc.recording.tables import ROWS, as_pandas, step_table
 
 if TYPE_CHECKING:
+    # Imported where they are made: that takes longer than most commands do.
+    import omegaconf
     import pandas as pd
+    import tensordict
+    import torch
 
     from resc.recording.reader import RolloutLog
 
@@ -42,7 +42,7 @@ class Selection:
         self.episodes = episodes
 
     @property
-    def config(self) -> Container:
+    def config(self) -> "omegaconf.Container":
         """The configuration of the run."""
         return self._log.config
 
@@ -54,7 +54,9 @@ class Selection:
     def __len__(self) -> int:
         return len(self.episodes)
 
-    def __iter__(self) -> Iterator[TensorDict]:
+    def __iter__(self) -> "Iterator[tensordict.TensorDict]":
+        from resc.recording.tensors import to_tensordict
+
         numbers, start, size = self._numbers, 0, 1
         while start < len(numbers):
             records, counts = self._log.steps_of(numbers[start : start + size])
@@ -63,7 +65,7 @@ class Selection:
             # The first episode comes at once, the others in groups: a batch holds parts of many.
             start, size = start + size, min(2 * size, _MOST_AT_ONCE)
 
-    def episode(self, index: int) -> TensorDict:
+    def episode(self, index: int) -> "tensordict.TensorDict":
         """The steps `[T]` of one of these episodes, by its `index`."""
         if index not in self._numbers:
             raise RecordingError(
@@ -98,33 +100,37 @@ class Selection:
             raise RecordingError(f"Episodes cannot be filtered like this: {reason}.") from error
 
     def take(self, rows: Sequence[int]) -> "Selection":
-        """These rows of `episodes`, in this order; negative ones count from its end.
+        """These rows of `episodes`, in this order.
 
         Raises:
             RecordingError: There is no such row.
         """
         chosen, count = list(rows), len(self)
         for row in chosen:
-            if not _is_whole(row) or not -count <= row < count:
+            if not _is_whole(row) or not 0 <= row < count:
                 raise RecordingError(
                     f"Row {row!r} is not in the table of these {count} episodes; take whole "
                     "numbers of rows that it has, counted from 0."
                 )
         return Selection(self._log, self.episodes[[int(row) for row in chosen]])
 
-    def starts(self) -> TensorDict:
+    def starts(self) -> "tensordict.TensorDict":
         """All mutable state of the simulator before the first step of each, `[E]`."""
         return self._log.starts(self._numbers.tolist())
 
-    def scenes(self) -> dict[str, torch.Tensor]:
+    def scenes(self) -> "dict[str, torch.Tensor]":
         """Obstacles, start and route that each was flown with, `[E, ...]`."""
         return self._log.scenes(self._numbers.tolist())
 
-    def to_tensordict(self) -> TensorDict:
+    def to_tensordict(self) -> "tensordict.TensorDict":
         """The steps of all these episodes, one after the other, `[S]`.
 
         The `index` of each one's episode is under `("collector", "traj_ids")`.
         """
+        import torch
+
+        from resc.recording.tensors import to_tensordict
+
         records, counts = self._log.steps_of(self._numbers)
         steps = to_tensordict(self._log.columns, records)
         return steps.set(TRAJECTORY, torch.from_numpy(np.repeat(self._numbers, counts)))
@@ -163,6 +169,6 @@ class Selection:
 
 def _is_whole(number: object) -> bool:
     """Whether it is a whole number, of Python, NumPy or PyTorch; flags of a mask are none."""
-    if isinstance(number, torch.Tensor):
+    if not isinstance(number, int | np.integer) and hasattr(number, "numel"):  # a tensor
         return number.numel() == 1 and _is_whole(number.item())
     return isinstance(number, int | np.integer) and not isinstance(number, bool)

@@ -1,9 +1,10 @@
 """One recorded file, complete or not: what it holds and where; chunks are read on demand."""
 
+import math
 import os
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -16,18 +17,25 @@ from resc.command_line import shell
 from resc.errors import RecordingError
 from resc.recording import records
 from resc.recording.records import ChunkRef, Contents, Place
-from resc.recording.segments import ACTIVE
+from resc.recording.rearranged import Copy, arranged
+from resc.recording.schema import ROLLOUT
+from resc.recording.segments import ACTIVE, LIBRARY, NUMBERED
 from resc.recording.specification import Specification, unsealed
 from resc.recording.wire import Rows
 
 _RECORD = struct.Struct("<BQ")
 _CHANNEL = struct.Struct("<H")
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 MESSAGE_HEAD = 31  # opcode, length, channel, sequence, log time, publish time
 
 
 @dataclass
 class Source:
-    """Index of one file."""
+    """Index of one file.
+
+    What it holds from step `limit` on, a later part of its `run` has taken the place of: nothing
+    gives it. `copy` has the chunks where another program wrote the file.
+    """
 
     path: Path
     specification: Specification
@@ -36,41 +44,65 @@ class Source:
     chunks: list[ChunkRef]
     complete: bool
     attached: list[Place]
+    counts: dict[int, int] | None = None
+    copy: Copy | None = None
+    run: str = ""
+    limit: int | None = None
+
+    @property
+    def first_step(self) -> int | None:
+        """The first step that anything in the file, or in one before it of its session, is about.
+
+        None if it holds nothing; a file may hold nothing but scenes.
+        """
+        if self.specification.first_step is not None:
+            return self.specification.first_step
+        times = (chunk.start_time for chunk in self.chunks)
+        first = min(times, default=None)
+        return None if first is None else first // self.specification.dt_ns
 
     def attachments(self) -> dict[str, bytes]:
         """Documents stored in the file, by name."""
-        found = {}
+        found, foreign = {}, self.copy is not None
         with open_recording(self.path) as file:
             for place in self.attached:
                 with _blaming(self.path, place.offset, "copy it again, or take the run's own file"):
-                    name, data = records.read_attachment(file, place)
+                    name, data = records.read_attachment(file, place, unchecked=foreign)
                 found[name] = data
         return found
 
     def chunks_of(self, topic: str) -> list[ChunkRef]:
         """References to the chunks that hold messages of a topic."""
         channel = self.topics.get(topic)
-        return [chunk for chunk in self.chunks if channel in chunk.channels]
+        found = [chunk for chunk in self.chunks if channel in chunk.channels]
+        return [chunk for chunk in found if chunk.start_time < self._end_ns]
+
+    @property
+    def _end_ns(self) -> int | float:
+        return math.inf if self.limit is None else self.limit * self.specification.dt_ns
 
     def rows(self, chunk: ChunkRef, topic: str) -> Iterator[Rows]:
         """The messages of a topic in a chunk, in runs of equal length."""
         with self._reading(chunk) as data:
             yield from _message_runs(data, self.topics[topic])
 
-    def messages(self, topic: str) -> list[bytes]:
-        """All messages of a topic, in the order recorded; for the rare ones of any length."""
-        found = []
+    def messages(self, topic: str) -> Iterator[bytes]:
+        """The messages of a topic, in the order recorded; for the rare ones of any length."""
         for chunk in self.chunks_of(topic):
-            with self._reading(chunk) as data:
-                found += _messages(data, self.topics[topic])
-        return found
+            yield from (data for *_, data in self.messages_in(chunk, topic))
+
+    def messages_in(self, chunk: ChunkRef, topic: str) -> list[tuple[int, int, int, bytes]]:
+        """Log time, sequence number, publish time and payload of a topic's messages in a chunk."""
+        with self._reading(chunk) as data:
+            found = _messages(data, self.topics[topic])
+        return [message for message in found if message[0] < self._end_ns]
 
     @contextmanager
     def _reading(self, chunk: ChunkRef) -> Iterator[bytes]:
         rescue = shell("resc-log", "recover", self.path, "--out", "saved.mcap")
         advice = f"copy it again, save what is readable ({rescue}), or read other batches"
         with _blaming(self.path, chunk.offset, advice):
-            with open_recording(self.path) as file:
+            with open_recording(self.path if self.copy is None else self.copy.path) as file:
                 data = records.read_chunk(file, chunk)
             yield data
 
@@ -104,13 +136,16 @@ def _message_runs(data: bytes, channel: int) -> Iterator[Rows]:
     records.require(found)
 
 
-def _messages(data: bytes, channel: int) -> list[bytes]:
+def _messages(data: bytes, channel: int) -> list[tuple[int, int, int, bytes]]:
     position, found = 0, []
     while position < len(data):
         opcode, length = _record_at(data, position)
         end = position + length
-        if opcode == Opcode.MESSAGE and _CHANNEL.unpack_from(data, position + 9)[0] == channel:
-            found.append(data[position + MESSAGE_HEAD : end])
+        if opcode == Opcode.MESSAGE:
+            number, sequence, log_time, published = _MESSAGE.unpack_from(data, position + 9)
+            if number == channel:
+                message = (log_time, sequence, published, data[position + MESSAGE_HEAD : end])
+                found.append(message)
         position = end
     records.require(len(found) > 0)
     return found
@@ -139,27 +174,64 @@ def open_recording(path: Path) -> IO[bytes]:
 
 def open_source(path: Path) -> Source | None:
     """Index of a file; None for one that was cut before its description was written."""
+    found = _described(path)
+    if found is None:
+        return None
+    metadata, contents, as_recorded = found
+    specification = Specification.from_metadata(_entries(metadata, "resc.spec", path), str(path))
+    run = unsealed(_entries(metadata, "resc.run", path), "resc.run", str(path))
+    attached, copy = contents.attachments, None
+    if not as_recorded:
+        status = path.stat()
+        copy = arranged(path, status.st_mtime_ns, status.st_size, specification)
+        with copy.path.open("rb") as file:
+            contents = records.read_summary(file, copy.path.stat().st_size)
+        contents.chunks.sort(key=lambda chunk: chunk.start_time)
+        contents.complete, contents.counts = copy.complete, None
+    return Source(
+        path,
+        specification,
+        run,
+        contents.topics,
+        contents.chunks,
+        contents.complete,
+        attached,
+        contents.counts,
+        copy,
+    )
+
+
+def sessions_in(folder: Path) -> tuple[str, ...]:
+    """The sessions that recorded to a folder, oldest first; files that cannot be read have none."""
+    found: dict[str, None] = {}
+    for path in sorted([*folder.glob(NUMBERED), *folder.glob(NUMBERED + ACTIVE)]):
+        with suppress(RecordingError):
+            metadata, *_ = _described(path) or ({},)
+            entries = _entries(metadata, "resc.spec", path)
+            specification = Specification.from_metadata(entries, str(path))
+            sessions = (*(specification.earlier or ()), specification.session)
+            found |= dict.fromkeys(sessions)
+    return tuple(found)
+
+
+def _described(path: Path) -> tuple[dict[str, dict[str, str]], Contents, bool] | None:
+    """Metadata, contents and whether these are as RESC records them; None for a stump."""
     with open_recording(path) as file:
         magic = file.read(len(MCAP0_MAGIC))
         if magic != MCAP0_MAGIC[: len(magic)]:
             raise RecordingError(f"{path} is not an MCAP file; give a recording made by RESC.")
-        contents = _contents(file, path)
+        size = os.fstat(file.fileno()).st_size
+        contents = _contents(file, path, size)
+        as_recorded = contents is not None
+        if contents is None:
+            contents = records.places(file, size)
         metadata = {}
         for place in contents.metadata:
             with _blaming(path, place.offset, "its description is there; copy it again"):
                 name, entries = records.read_metadata(file, place)
             metadata[name] = entries
-    if "resc.spec" not in metadata and not contents.complete and not contents.chunks:
-        return None
-    return Source(
-        path,
-        Specification.from_metadata(_entries(metadata, "resc.spec", path), str(path)),
-        unsealed(_entries(metadata, "resc.run", path), "resc.run", str(path)),
-        contents.topics,
-        contents.chunks,
-        contents.complete,
-        contents.attachments,
-    )
+    stump = "resc.spec" not in metadata and not contents.complete and not contents.chunks
+    return None if stump else (metadata, contents, as_recorded)
 
 
 def _entries(metadata: dict[str, dict[str, str]], name: str, path: Path) -> dict[str, str]:
@@ -171,13 +243,35 @@ def _entries(metadata: dict[str, dict[str, str]], name: str, path: Path) -> dict
     return metadata[name]
 
 
-def _contents(file: IO[bytes], path: Path) -> Contents:
-    """What a file holds: from its summary, or record by record if that is not there or damaged."""
-    size = os.fstat(file.fileno()).st_size
+def _contents(file: IO[bytes], path: Path, size: int) -> Contents | None:
+    """What a file of RESC's recorder holds; None for one that another program wrote.
+
+    From its summary, or record by record if that is not there or damaged.
+    """
+    if records.library(file, size) not in (None, LIBRARY):
+        return None
     try:
-        return records.read_summary(file, size)
+        contents = records.read_summary(file, size)
     except ValueError:
+        if records.ends(file, size) and not records.is_summed(file, size):
+            return None
         with _blaming(
             path, 0, "neither its summary nor its first chunk can be read; copy it again"
         ):
             return records.scan(file, size)
+    return contents if _as_recorded(contents) else None
+
+
+def _as_recorded(contents: Contents) -> bool:
+    """Whether chunks and index are those of RESC's recorder, as far as the summary says."""
+    found = dict.fromkeys(contents.topics.values(), 0)
+    rollout = contents.topics.get(ROLLOUT)
+    for chunk in contents.chunks:
+        if len(chunk.channels) != 1 or not chunk.channels <= found.keys():
+            return False
+        (channel,) = chunk.channels
+        found[channel] += chunk.count
+        if channel == rollout and chunk.count != chunk.end_time - chunk.start_time + 1:
+            return False
+    counts = contents.counts
+    return counts is not None and counts == {n: count for n, count in found.items() if count}

@@ -5,14 +5,14 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 
-from resc.build import nearest
-from resc.errors import ConfigError, RecordingError
-from resc.recording.schema import DTYPE_NAMES, Column, column_tree
+from resc.errors import ConfigError, RecordingError, nearest
+from resc.recording.schema import ACTION, SAMPLED_ACTION, Column, column_tree
 
-FORMAT = "3"
-"""Version of the file layout; a reader refuses any other."""
-
-
+FORMAT = "4"
+"""Version of the file layout that is written."""
+OLDER = "3"
+"""The one before, which is read, too: `action` was the sample, and no file named earlier ones."""
+_SINCE_FORMAT_4 = ("earlier", "first_step")
 _SEAL = "crc32"
 
 
@@ -26,7 +26,10 @@ def require(fine: bool, name: str, value: object, expected: str) -> None:
 class Specification:
     """Everything a reader must know to decode a file.
 
-    The files of one recorder share `session`; steps of different sessions are never joined.
+    The files of one recorder share `session`. `earlier` are the sessions recorded in the same
+    folder before, oldest first; what this one records takes their place from its `first_step` on.
+    In the first file of a session that is None: it is the first step found there. `earlier` is None
+    where the file does not say. `columns` are those that are read; `stored` lie in the file.
     """
 
     columns: tuple[Column, ...]
@@ -36,6 +39,9 @@ class Specification:
     round_bits: int | None
     every_n_batches: int
     session: str
+    earlier: tuple[str, ...] | None = ()
+    first_step: int | None = None
+    format: str = FORMAT
 
     def __post_init__(self) -> None:
         bits, period = self.round_bits, self.every_n_batches
@@ -52,34 +58,67 @@ class Specification:
         """Control step [ns]; log_time = start_step * dt_ns + env_id."""
         return round(self.dt_s * 1e9)
 
+    @property
+    def stored(self) -> tuple[Column, ...]:
+        """The columns as they lie in the file."""
+        if self.format == FORMAT:
+            return self.columns
+        return tuple(column for column in self.columns if column != SAMPLED_ACTION)
+
     def to_metadata(self) -> dict[str, str]:
         """The flat strings of an MCAP metadata record; all but `format` and `crc32` are JSON."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        values["columns"] = [
-            asdict(column) | {"dtype": column.dtype_name} for column in self.columns
-        ]
+        values = {name: getattr(self, name) for name in _entries()}
+        values["columns"] = [_entry(column) for column in self.columns]
         texts = {name: json.dumps(value) for name, value in values.items()}
         return sealed({"format": FORMAT} | texts)
 
     @classmethod
     def from_metadata(cls, metadata: dict[str, str], origin: str) -> "Specification":
         """The specification in a metadata record of the file `origin`."""
-        if metadata.get("format") != FORMAT:
+        written = metadata.get("format")
+        if written not in (FORMAT, OLDER):
             raise RecordingError(
-                f"{origin} has recording format {metadata.get('format')}, and this RESC reads "
-                f"format {FORMAT}. Read it with the version that wrote it (metadata 'resc.run')."
+                f"{origin} has recording format {written}, and this RESC reads formats {OLDER} and "
+                f"{FORMAT}. Read it with the version that wrote it (metadata 'resc.run')."
             )
         metadata = unsealed(metadata, "resc.spec", origin)
-        values = {field.name: json.loads(metadata[field.name]) for field in fields(cls)}
+        names = [name for name in _entries() if written == FORMAT or name not in _SINCE_FORMAT_4]
+        values = {name: json.loads(metadata[name]) for name in names}
         values["columns"] = tuple(_column(**entry) for entry in values["columns"])
         values["outcomes"] = tuple(values["outcomes"])
+        if written == OLDER:
+            return cls(
+                **values | {"earlier": None, "columns": _sampled(values["columns"])}, format=written
+            )
+        earlier = values["earlier"]
+        values["earlier"] = None if earlier is None else tuple(earlier)
         return cls(**values)
+
+
+def _entries() -> list[str]:
+    """Names of what is JSON in the metadata record."""
+    return [field.name for field in fields(Specification) if field.name != "format"]
+
+
+def _entry(column: Column) -> dict[str, object]:
+    entry = asdict(column)
+    return {"key": entry["key"], "components": entry["components"], "dtype": column.dtype_name} | {
+        name: entry[name] for name in ("unit", "frame", "shape")
+    }
 
 
 def _column(
     key: list[str], components: list[str], dtype: str, shape: list[int], **rest: str
 ) -> Column:
-    return Column(tuple(key), tuple(components), DTYPE_NAMES[dtype], shape=tuple(shape), **rest)
+    return Column(tuple(key), tuple(components), dtype, shape=tuple(shape), **rest)
+
+
+def _sampled(columns: Sequence[Column]) -> tuple[Column, ...]:
+    """The columns of an older file as they are read: what was sampled follows what was flown."""
+    found: list[Column] = []
+    for column in columns:
+        found += [column, SAMPLED_ACTION] if column == ACTION else [column]
+    return tuple(found)
 
 
 def chosen_columns(columns: Sequence[Column], fields: object) -> tuple[Column, ...]:

@@ -23,7 +23,7 @@ ROWS = 1_000_000
 
 def episode_table(sources: Sequence[Source], outcomes: Sequence[str]) -> pl.DataFrame:
     """The finished episodes of some files, one a row; reads no rollout chunk."""
-    found = [source.messages(EPISODES) for source in sources]
+    found = [list(source.messages(EPISODES)) for source in sources]
     arrays, names = events.decode_episodes([message for messages in found for message in messages])
     # Differences of unsigned integers would wrap around.
     fields = {

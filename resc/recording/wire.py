@@ -157,16 +157,43 @@ def headers(rows: Rows) -> Shaped[np.ndarray, " n"]:
     return rows.view(_HEADER)[:, 0]
 
 
+def place_of(message: bytes) -> tuple[int, int]:
+    """Start step and environment of a fragment.
+
+    Raises:
+        ValueError: It does not begin as a fragment does.
+    """
+    header = np.frombuffer(message, _HEADER, 1)[0]
+    expected = fixed_fields(ROLLOUT, 1)[0]
+    if any(header[name] != expected[name] for name in _HEADER.names or () if name.endswith(".tag")):
+        raise ValueError("not a fragment")
+    return int(header["start_step"]), int(header["env_id"])
+
+
+def with_copies(
+    layout: Layout, stored: Sequence[Column], read: Sequence[tuple[Column, Column]]
+) -> Layout:
+    """A layout of `stored` columns for arrays of others: pairs of a column and where it is from."""
+    numbers = {column: number for number, column in enumerate(stored)}
+    offsets = dict(layout.offsets)
+    found = [
+        (Leaf(number, j), offsets[Leaf(numbers[origin], j)])
+        for number, (_, origin) in enumerate(read)
+        for j in range(origin.width)
+    ]
+    return replace(layout, offsets=tuple(found))
+
+
 def decode_fragments(
     columns: tuple[Column, ...],
     layout: Layout,
     rows: Rows,
     out: Sequence[Shaped[np.ndarray, "t n _"]],
 ) -> None:
-    """Copy the values of some fragments into one array for each column."""
+    """Copy the first steps of some fragments, as many as `out` has, into arrays, one a column."""
     for (column, component), offset in layout.offsets:
         dtype = columns[column].numpy_dtype
-        raw = rows.view(np.dtype(np.uint8), offset, layout.steps * dtype.itemsize)
+        raw = rows.view(np.dtype(np.uint8), offset, len(out[column]) * dtype.itemsize)
         # Fields lie at odd addresses; moved to even ones, they transpose in half the time.
         out[column][:, :, component] = np.ascontiguousarray(raw).view(dtype).T
 

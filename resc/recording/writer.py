@@ -14,7 +14,6 @@ from types import TracebackType
 from typing import Literal
 
 import numpy as np
-import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -28,8 +27,17 @@ from resc.recording.batches import (
     host_batch,
     to_host,
 )
-from resc.recording.schema import ARRAY_FIELDS, EPISODES, ROLLOUT, STARTS, WORLD, Column
+from resc.recording.schema import (
+    ARRAY_FIELDS,
+    EPISODES,
+    ROLLOUT,
+    STARTS,
+    WORLD,
+    Column,
+    type_name,
+)
 from resc.recording.segments import FileHead, Segments
+from resc.recording.source import sessions_in
 from resc.recording.specification import Specification, chosen_columns, require
 
 _QUEUE_DEPTH = 2
@@ -55,7 +63,9 @@ class RolloutRecorder:
         envs: Record only the first so many environments and their episodes; None records all.
         fields: Record only these columns: keys joined by dots, or their first parts, such as
             `state.position_w` or `state`; None records all.
-        directory: Where the files go; created if missing, files already there are kept.
+        directory: Where the files go; created if missing. Files already there are kept: this
+            recorder goes on with their run, and what it records takes the place of what they hold
+            from its first step on.
         columns: What is recorded of each batch.
         dt_s: Control step [s].
         num_envs: Environments in a batch.
@@ -94,12 +104,13 @@ class RolloutRecorder:
             round_bits=round_bits,
             every_n_batches=every_n_batches,
             session=uuid.uuid4().hex,
+            earlier=sessions_in(Path(directory)),
         )
         texts = all(isinstance(value, str) for value in metadata.values())
         require(texts, "metadata", dict(metadata), "text values only")
         self._directory = Path(directory)
         self._batches = self._next_step = self._written = 0
-        self._scenes: dict[str, Tensor] = {}
+        self._scenes: dict[str, np.ndarray] = {}
         try:
             self._segments = Segments(
                 self._directory,
@@ -255,6 +266,7 @@ class RolloutRecorder:
 
     def _write_batch(self, batch: HostBatch) -> None:
         batch.wait()
+        self._segments.begin(batch.start_step)
         if batch.rollout:
             self._write_fragments(batch)
         if batch.episodes:
@@ -265,7 +277,7 @@ class RolloutRecorder:
             )
             self._segments.append(EPISODES, messages, batch.time_ns)
         if batch.starts:
-            arrays = {name: leaf for (name,), leaf in batch.starts.items()}
+            arrays = {name: leaf.numpy() for (name,), leaf in batch.starts.items()}
             data = events.encode_arrays(STARTS, arrays, batch.start_step)
             origin = batch.start_step * self._specification.dt_ns
             self._segments.append(STARTS, [(origin, 0, data)], batch.time_ns)
@@ -290,7 +302,8 @@ class RolloutRecorder:
         self, leaves: Leaves, wait: Callable[[], None], start_step: int, time_ns: int
     ) -> None:
         wait()
-        arrays = {name: leaf for (name,), leaf in leaves.items()}
+        self._segments.begin(start_step)
+        arrays = {name: leaf.numpy() for (name,), leaf in leaves.items()}
         data = events.encode_arrays(WORLD, arrays, start_step)
         # Pinned first: these may be the first scenes of a file, which then holds all of them.
         self._scenes = _replaced(self._scenes, arrays)
@@ -301,19 +314,21 @@ class RolloutRecorder:
 
 def _array_leaves(arrays: Mapping[str, Tensor], what: str) -> Leaves:
     for name, tensor in arrays.items():
-        if tensor.dtype not in ARRAY_FIELDS:
+        if type_name(tensor.dtype) not in ARRAY_FIELDS:
             raise RecordingError(
                 f"{what} array '{name}' has dtype {tensor.dtype}; "
-                f"convert it to one of {', '.join(map(str, ARRAY_FIELDS))}."
+                f"convert it to one of {', '.join(ARRAY_FIELDS)}."
             )
     return {(name,): tensor for name, tensor in arrays.items()}
 
 
-def _replaced(scenes: dict[str, Tensor], arrays: dict[str, Tensor]) -> dict[str, Tensor]:
-    """All scenes, after some of them were put anew."""
+def _replaced(
+    scenes: dict[str, np.ndarray], arrays: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """All scenes, after some of them were put again."""
     if "entry" not in arrays or scenes.keys() != arrays.keys():
         return arrays
-    rows = torch.searchsorted(scenes["entry"], arrays["entry"])
+    rows = np.searchsorted(scenes["entry"], arrays["entry"])
     for name, values in arrays.items():
         scenes[name][rows] = values
     return scenes

@@ -76,7 +76,7 @@ def test_another_action_is_noticed(recording):
     log = RolloutLog(recording)
     number = int(log.episodes["length"].arg_max())
     steps = log.episode(number)
-    steps[keys.ACTION][3] += 0.1
+    steps["sampled_action"][3] += 0.1
     result = fly_again(f"{recording}#{number}")
     env, row = result.env, int(log.episodes["env_id"][number])
     put_back(env, log.start(number))

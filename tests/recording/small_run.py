@@ -4,18 +4,14 @@ import torch
 from tensordict import TensorDict
 
 from resc import keys
-from resc.recording import Column, RolloutRecorder
-from resc.recording.rollouts import FLAGS, REWARD_TERMS, STATE_COLUMNS
+from resc.recording import RolloutRecorder
+from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS, usual_columns
+from resc.recording.schema import SAMPLED_ACTION
 
 ENVS, STEPS, BATCHES = 3, 10, 4
 ENDS = {0: (4, 17, 39), 1: (12, 30), 2: (25,)}
 OUTCOMES = ("success", "collision", "time_limit")
-COLUMNS = (
-    *STATE_COLUMNS,
-    Column(keys.REWARD, (), torch.float32),
-    Column(REWARD_TERMS, ("progress", "time"), torch.float32),
-    *FLAGS,
-)
+COLUMNS = usual_columns(("progress", "time"))
 CONFIG = b"action:\n  rate_limit_radps: [2.0, 2.0, 1.0]\n"
 EPISODES = sorted((end, env_id, i) for env_id, ends in ENDS.items() for i, end in enumerate(ends))
 
@@ -24,7 +20,9 @@ def rollout():
     """All steps: rewards of 0.5, -0.25 of it for time; positions count the steps."""
     shape = (BATCHES * STEPS, ENVS)
     generator = torch.Generator().manual_seed(0)
-    data = {c.key: torch.randn(*shape, c.width, generator=generator) for c in STATE_COLUMNS}
+    drawn = (*STATE_COLUMNS, SAMPLED_ACTION)
+    data = {c.key: torch.randn(*shape, c.width, generator=generator) for c in drawn}
+    data[keys.ACTION] = data[SAMPLED_ACTION.key].clamp(-1, 1)
     data[keys.POSITION_W][..., 0] = torch.arange(shape[0])[:, None] / 10
     data[keys.ATTITUDE_WB] /= data[keys.ATTITUDE_WB].norm(dim=-1, keepdim=True)
     data[keys.REWARD] = torch.full((*shape, 1), 0.5)
@@ -77,7 +75,7 @@ def starts(first, last):
     }
 
 
-def record(folder, whole=None, batches=range(BATCHES), listed=episodes, **options):
+def record(folder, whole=None, *, batches=range(BATCHES), listed=episodes, **options):
     """Records the batches of the run, or of a changed one, in a folder."""
     whole = rollout() if whole is None else whole
     known = {

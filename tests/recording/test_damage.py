@@ -297,7 +297,7 @@ def test_a_description_of_another_version_or_with_a_changed_number_is_refused(wh
     path.write_bytes(whole.replace(b"0.02", b"0.03"))
     with pytest.raises(RecordingError, match=r"metadata 'resc.spec' is damaged; copy"):
         RolloutLog(path)
-    older = whole.replace(b"format\1\0\0\0" + b"3", b"format\1\0\0\0" + b"2")
+    older = whole.replace(b"format\1\0\0\0" + b"4", b"format\1\0\0\0" + b"2")
     path.write_bytes(older)
     with pytest.raises(RecordingError, match="has recording format 2, and this RESC reads format"):
         RolloutLog(path)

@@ -156,7 +156,7 @@ def test_run_and_specification_are_stored_in_the_file(tmp_path):
         metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
     assert log.metadata == {"seed": "7"}
     assert metadata["resc.run"] == {"seed": "7", "crc32": "3ba02a50"}
-    assert metadata["resc.spec"]["format"] == "3"
+    assert metadata["resc.spec"]["format"] == "4"
     assert metadata["resc.spec"]["round_bits"] == "12"
     assert log.config.seed == 7
     assert (log.num_envs, log.dt_s) == (2, 0.02)

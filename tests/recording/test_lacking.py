@@ -5,9 +5,7 @@ from unittest.mock import Mock
 import polars as pl
 import pytest
 from small_run import record, rollout
-from tensordict import TensorDict
 
-from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import RecordingError
 from resc.evaluation.replay import compare, fly_again
@@ -29,16 +27,16 @@ def test_a_missing_column_is_named_with_who_needs_it(log, tmp_path):
         draw_episode(log, 0, tmp_path / "episode.png")
     with pytest.raises(RecordingError, match=r"no column reward, which a scene needs"):
         load_scene(log, 0)
-    with pytest.raises(RecordingError, match=r"no column truncated, which a dataset needs"):
+    with pytest.raises(RecordingError, match=r"no column sampled_action, which a dataset needs"):
         transitions(log.where(), config={})
 
 
 def test_actions_alone_are_not_compared():
     env, steps = Mock(spec=QuadrotorEnv), rollout()[:, 0]
     with pytest.raises(RecordingError, match="holds the actions alone"):
-        compare(env, TensorDict({keys.ACTION: steps[keys.ACTION]}, [len(steps)]), 0, cut=False)
-    with pytest.raises(RecordingError, match="no column action, which a replay needs"):
-        compare(env, steps.exclude(keys.ACTION), 0, cut=False)
+        compare(env, steps.select("action", "sampled_action"), 0, cut=False)
+    with pytest.raises(RecordingError, match="no column sampled_action, which a replay needs"):
+        compare(env, steps.exclude("sampled_action"), 0, cut=False)
 
 
 def test_a_missing_or_foreign_configuration_is_named(tmp_path):

@@ -8,8 +8,8 @@ from typing import Any
 import polars as pl
 from polars.exceptions import PolarsError
 
-from resc.errors import RecordingError
-from resc.recording.reader import RolloutLog
+from resc.errors import RecordingError, nearest
+from resc.recording.reader import RolloutLog, require_index
 from resc.recording.selection import Selection
 
 Run = Callable[[argparse.Namespace], int]
@@ -73,7 +73,7 @@ def add_episode(parser: argparse.ArgumentParser) -> None:
         type=int,
         required=True,
         metavar="K",
-        help="number in the column 'index' of 'episodes'; -1 is the last",
+        help="number in the column 'index' of 'episodes', from 0",
     )
 
 

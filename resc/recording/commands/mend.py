@@ -49,6 +49,8 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
 def run_check(given: argparse.Namespace) -> int:
     """Prints what is wrong; 1 if something is."""
     done = check(given.recording)
+    for note in done.notes:
+        print(f"note: {note}")
     for fault in done.faults:
         print(fault)
     verdict = f"{len(done.faults)} fault(s)" if done.faults else "fine"

@@ -1,0 +1,42 @@
+"""Which columns a recording of RESC has, and what its tools need of them."""
+
+from collections.abc import Iterable
+
+from tensordict import TensorDictBase
+
+from resc import keys
+from resc.errors import RecordingError
+from resc.recording.schema import ACTION, SAMPLED_ACTION, Column
+
+STATE_COLUMNS = (
+    Column(keys.POSITION_W, ("x", "y", "z"), "float32", "m", "world"),
+    Column(keys.VELOCITY_W, ("x", "y", "z"), "float32", "m/s", "world"),
+    Column(keys.ATTITUDE_WB, ("w", "x", "y", "z"), "float32", "-", "body to world"),
+    Column(keys.BODY_RATE_B, ("x", "y", "z"), "float32", "rad/s", "body"),
+)
+"""The state before a step."""
+FLAGS = tuple(Column(key, (), "bool") for key in (keys.TERMINATED, keys.TRUNCATED))
+REWARD_TERMS = ("reward_terms",)
+FLOWN = (*(column.key for column in STATE_COLUMNS), keys.ACTION)
+"""What pictures and scenes are drawn from: the state before a step, and what was flown in it."""
+
+
+def usual_columns(rewards: tuple[str, ...]) -> tuple[Column, ...]:
+    """Columns of training and evaluation, with the names of the reward terms."""
+    reward = Column(keys.REWARD, (), "float32")
+    terms = Column(REWARD_TERMS, rewards, "float32")
+    return (*STATE_COLUMNS, ACTION, SAMPLED_ACTION, reward, terms, *FLAGS)
+
+
+def require_columns(steps: TensorDictBase, wanted: Iterable[keys.NestedKey], reader: str) -> None:
+    """Refuses recorded steps that lack a column.
+
+    Raises:
+        RecordingError: It names the column, and the `reader` that needs it.
+    """
+    missing = [key for key in wanted if steps.get(key, None) is None]
+    if missing:
+        raise RecordingError(
+            f"The recording holds no column {'.'.join(missing[0])}, which {reader} needs; record "
+            "with recorder.fields=null."
+        )
