@@ -23,9 +23,9 @@ from resc.evaluation.courses import LaidOut
 from resc.keys import NestedKey
 from resc.learning.ppo import RENEWED
 from resc.math.sampling import generator_for
+from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS, require_columns
 from resc.recording.configuration import require_groups
 from resc.recording.reader import RolloutLog
-from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS, require_columns
 from resc.recording.rollouts import provenance
 from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import Selection

@@ -52,10 +52,10 @@ def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None)
     """The steps of recorded episodes one after the other `[S]`, as TorchRL lays them out.
 
     `observation`, `action`, `("collector", "traj_ids")` (the episode's `index`) and, under `next`,
-    `observation`, `reward`, `terminated`, `truncated`, `done`. Observations are not recorded: the
-    episodes are flown again from their sampled actions; `action` is what was flown, in [-1, 1]. So `config` may name others, and other
-    rewards, than those recorded; ends are the recorded ones. Noise and dropouts of observations are
-    drawn anew.
+    `observation`, `reward`, `terminated`, `truncated`, `done`. `action` is what was flown, in
+    [-1, 1]. Observations are not recorded: the episodes are flown again, from their sampled
+    actions. So `config` may name others, and other rewards, than those recorded; ends are the
+    recorded ones. Noise and dropouts of observations are drawn again.
 
     Args:
         episodes: `RolloutLog(...).where(...)`.

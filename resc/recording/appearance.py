@@ -8,8 +8,8 @@ from torch import Tensor
 
 from resc import keys
 from resc.math.rotation import euler_from_quaternion
-from resc.recording.episode_scene import EpisodeScene
 from resc.recording.columns import REWARD_TERMS
+from resc.recording.episode_scene import EpisodeScene
 from resc.recording.scalars import Numbers
 
 TRAIL_STEPS = 5

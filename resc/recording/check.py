@@ -15,7 +15,7 @@ from resc.recording.decode import Arrays, Batch, batches, read_environments
 from resc.recording.location import recordings_at
 from resc.recording.reader import RolloutLog
 from resc.recording.schema import ROLLOUT, Column
-from resc.recording.source import Source, open_source
+from resc.recording.source import open_source
 from resc.recording.tables import column_names
 
 _ENDS = ("terminated", "truncated", "done")

@@ -125,7 +125,7 @@ def batches(source: Source) -> list[Batch]:
     """The batches of a file whose fragments are all there."""
     dt_ns, num_envs = source.specification.dt_ns, source.specification.num_envs
     found = []
-    chunks = source.chunks_of(ROLLOUT)
+    chunks = sorted(source.chunks_of(ROLLOUT), key=lambda chunk: chunk.start_time)
     for start_step, group in groupby(chunks, lambda chunk: chunk.start_time // dt_ns):
         batch, origin = Batch(source, start_step, tuple(group)), start_step * dt_ns
         starts = [chunk.start_time for chunk in batch.chunks] + [origin + num_envs]

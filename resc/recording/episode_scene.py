@@ -20,9 +20,9 @@ from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
 from resc.maps.observation import MapObservation
 from resc.math.rotation import heading
+from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
 from resc.recording.configuration import require_groups
 from resc.recording.reader import RolloutLog
-from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
 from resc.recording.sight import Pose, Shape, shapes
 from resc.scenes.layout import PARKED_M, rasterize
 from resc.simulation.vehicle import Vehicle

@@ -1,4 +1,4 @@
-"""The files of a run in order: what it recorded again after an interruption takes the first's place.
+"""The files of a run in order: what it recorded twice is read once, as it recorded it last.
 
 A run that is killed goes on from its last checkpoint, and records again what it had flown since.
 """

@@ -21,9 +21,9 @@ from resc import keys
 from resc.errors import RecordingError
 from resc.evaluation.panel import BACKGROUND, COLLISION, DASHES, FRAME, OBSTACLE, PLAN, SPEED, TEXT
 from resc.math.rotation import euler_from_quaternion
+from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
 from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
-from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
 
 _COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 """Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""

@@ -49,11 +49,10 @@ class _Piece:
             last = self.source.specification.num_envs - 1
             runs = [rows for _, _, rows in self.batch.fragments(0, last)]
             published = int(runs[0].view(np.dtype("<u8"), _PUBLISH_TIME)[0, 0])
-            messages = [message for rows in runs for message in _messages(rows)]
+            messages: list[Message] = [message for rows in runs for message in _messages(rows)]
             return published, messages if self.batch.as_written else _encoded(self.batch, messages)
         found = [message for c in self.chunks for message in self.source.messages_in(c, self.topic)]
-        messages = [(time, number, self._kept(data)) for time, number, _, data in found]
-        return found[0][2], messages
+        return found[0][2], [(time, number, self._kept(data)) for time, number, _, data in found]
 
     def _kept(self, data: bytes) -> bytes:
         if self.topic != STARTS or self.source.limit is None:

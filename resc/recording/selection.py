@@ -169,6 +169,7 @@ class Selection:
 
 def _is_whole(number: object) -> bool:
     """Whether it is a whole number, of Python, NumPy or PyTorch; flags of a mask are none."""
-    if not isinstance(number, int | np.integer) and hasattr(number, "numel"):  # a tensor
-        return number.numel() == 1 and _is_whole(number.item())
+    item = getattr(number, "item", None)  # of an array or a tensor
+    if item is not None and getattr(number, "ndim", 1) == 0:
+        number = item()
     return isinstance(number, int | np.integer) and not isinstance(number, bool)

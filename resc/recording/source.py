@@ -16,8 +16,8 @@ from mcap.writer import MCAP0_MAGIC
 from resc.command_line import shell
 from resc.errors import RecordingError
 from resc.recording import records
-from resc.recording.records import ChunkRef, Contents, Place
 from resc.recording.rearranged import Copy, arranged
+from resc.recording.records import ChunkRef, Contents, Place
 from resc.recording.schema import ROLLOUT
 from resc.recording.segments import ACTIVE, LIBRARY, NUMBERED
 from resc.recording.specification import Specification, unsealed
@@ -186,7 +186,6 @@ def open_source(path: Path) -> Source | None:
         copy = arranged(path, status.st_mtime_ns, status.st_size, specification)
         with copy.path.open("rb") as file:
             contents = records.read_summary(file, copy.path.stat().st_size)
-        contents.chunks.sort(key=lambda chunk: chunk.start_time)
         contents.complete, contents.counts = copy.complete, None
     return Source(
         path,

@@ -1,6 +1,6 @@
 """What is read as tensors: apart, because importing torch takes longer than most commands do."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import torch

@@ -8,8 +8,8 @@ from typing import Any
 import polars as pl
 from polars.exceptions import PolarsError
 
-from resc.errors import RecordingError, nearest
-from resc.recording.reader import RolloutLog, require_index
+from resc.errors import RecordingError
+from resc.recording.reader import RolloutLog
 from resc.recording.selection import Selection
 
 Run = Callable[[argparse.Namespace], int]
