@@ -18,7 +18,8 @@ from torch import Tensor
 
 from resc import keys
 from resc.build import build_terms, load_config
-from resc.evaluation.panel import BACKGROUND, FRAME, OBSTACLE, PLAN, SHADE_M, TEXT
+from resc.evaluation.colours import BACKGROUND, FRAME, OBSTACLE, PLAN, TEXT
+from resc.evaluation.panel import SHADE_M
 from resc.maps.cells import shape_of
 from resc.maps.constants import OCCUPIED_M
 from resc.maps.distance_transform import distance_transform

@@ -3,14 +3,24 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.patches import Circle, Rectangle
 
+from resc.evaluation.colours import (
+    BACKGROUND,
+    COLLISION,
+    DASHES,
+    FRAME,
+    LOST,
+    OBSTACLE,
+    PLAN,
+    SPEED,
+    TEXT,
+)
 from resc.evaluation.courses import Course
 from resc.evaluation.flights import Flights
 from resc.evaluation.statistics import SceneReport
@@ -20,13 +30,6 @@ from resc.scenes.layout import rasterize
 
 SHADE_M = 1.5
 """Distance from which on the background no longer changes."""
-OBSTACLE, PLAN, FRAME, TEXT = "#39424e", "#20262e", "#8a94a3", "#3a434f"
-COLLISION, LOST = "#d7263d", "#b35c00"
-DASHES = (0, (4, 2.5))
-BACKGROUND = LinearSegmentedColormap.from_list("distance", ["#b4c0d2", "#fbfcfd"])
-"""One hue from grey blue to nearly white: between colours this close sRGB is as good as uniform."""
-SPEED = ListedColormap(mpl.colormaps["plasma"](np.linspace(0, 0.86, 256)))
-"""Perceptually uniform, without its pale end, which would drown in the background."""
 CROP_M, MARGIN_M = 6.0, 1.0
 """Least edge and margin of the part shown of a map that is mostly empty."""
 

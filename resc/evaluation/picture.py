@@ -10,7 +10,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from resc.evaluation.panel import COLLISION, DASHES, LOST, PLAN, SPEED, Flown, Panel, draw_panel
+from resc.evaluation.colours import COLLISION, DASHES, LOST, PLAN, SPEED
+from resc.evaluation.panel import Flown, Panel, draw_panel
 from resc.evaluation.statistics import SceneReport
 
 mpl.use("Agg")

@@ -158,6 +158,8 @@ def train(
             trainer.trained_s += now - counted_to
             counted_to = now
             if now - saved_at > checkpoint_every_s:
+                if recorder is not None:
+                    recorder.flush()  # a resumed run records nothing from before its checkpoint
                 save_checkpoint(folder / CHECKPOINT, trainer)
                 saved_at = time.monotonic()
     save_checkpoint(folder / CHECKPOINT, trainer)

@@ -1,12 +1,14 @@
 """Which columns a recording of RESC has, and what its tools need of them."""
 
 from collections.abc import Iterable
-
-from tensordict import TensorDictBase
+from typing import TYPE_CHECKING
 
 from resc import keys
 from resc.errors import RecordingError
 from resc.recording.schema import ACTION, SAMPLED_ACTION, Column
+
+if TYPE_CHECKING:
+    import tensordict
 
 STATE_COLUMNS = (
     Column(keys.POSITION_W, ("x", "y", "z"), "float32", "m", "world"),
@@ -28,7 +30,9 @@ def usual_columns(rewards: tuple[str, ...]) -> tuple[Column, ...]:
     return (*STATE_COLUMNS, ACTION, SAMPLED_ACTION, reward, terms, *FLAGS)
 
 
-def require_columns(steps: TensorDictBase, wanted: Iterable[keys.NestedKey], reader: str) -> None:
+def require_columns(
+    steps: "tensordict.TensorDictBase", wanted: Iterable[keys.NestedKey], reader: str
+) -> None:
     """Refuses recorded steps that lack a column.
 
     Raises:

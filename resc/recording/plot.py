@@ -12,14 +12,23 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import FancyBboxPatch, Patch, Rectangle
 from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 
 from resc import keys
 from resc.errors import RecordingError
-from resc.evaluation.panel import BACKGROUND, COLLISION, DASHES, FRAME, OBSTACLE, PLAN, SPEED, TEXT
+from resc.evaluation.colours import (
+    BACKGROUND,
+    COLLISION,
+    DASHES,
+    FRAME,
+    OBSTACLE,
+    PLAN,
+    SPEED,
+    TEXT,
+)
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
 from resc.recording.output import replacing
@@ -30,6 +39,13 @@ _COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 _MARGIN_M, _LEAST_M = 1.5, 6.0
 """What is shown around a flight and its route, and the least width of it."""
 _RATE_LIMIT = "rate_limit_radps"
+_COLLISIONS = (
+    "resc.terms.terminations.collision.Collision",
+    "resc.terms.terminations.contact.Contact",
+)
+_INFLATED = ("#d9a8a0", 0.55)
+_LARGEST_SHARE = 1.25
+"""A last step that stretches the range of the rewards further is drawn as an arrow."""
 _BESIDE = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
 """Where legends go that would hide curves."""
 
@@ -49,7 +65,8 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
     with mpl.rc_context({"font.size": 9, "font.family": "DejaVu Sans"}):
         figure = Figure(figsize=(13, 8.5), layout="constrained")
         grid = figure.add_gridspec(10, 2, width_ratios=(1, 1))
-        _draw_map(figure, figure.add_subplot(grid[:7, 0]), log.scene(episode), steps)
+        scene, inflation = log.scene(episode), inflation_m(log)
+        _draw_map(figure, figure.add_subplot(grid[:7, 0]), scene, steps, inflation)
         _draw_rewards(figure.add_subplot(grid[7:, 0]), time, log, steps)
         right = [figure.add_subplot(grid[2 * i : 2 * i + 2, 1]) for i in range(5)]
         _draw_velocity(right[0], time, steps)
@@ -93,19 +110,23 @@ def rate_command(log: RolloutLog, episode: int, steps: TensorDict) -> Float[np.n
     return (actions[:, :3].clamp(-1, 1) * torch.tensor(list(limit))).numpy()
 
 
+def inflation_m(log: RolloutLog) -> float:
+    """How close to an obstacle [m] a flight of this configuration ends as a collision."""
+    terms = OmegaConf.select(log.config, "termination") or {}
+    radii = [t.get("radius_m", 0.0) for t in terms.values() if t and t["_target_"] in _COLLISIONS]
+    return max(radii, default=0.0)
+
+
 def _tensor(values: TensorDict, key: keys.NestedKey) -> Tensor:
     return cast(Tensor, values[key])
 
 
-def _draw_map(figure: Figure, axes: Axes, scene: Mapping[str, Tensor], steps: TensorDict) -> None:
+def _draw_map(
+    figure: Figure, axes: Axes, scene: Mapping[str, Tensor], steps: TensorDict, inflation: float
+) -> None:
     position = _tensor(steps, keys.POSITION_W)[:, :2].numpy()
     speed = _tensor(steps, keys.VELOCITY_W).norm(dim=-1).numpy()
-    boxes = [
-        Rectangle((x, y), width, length)
-        for x, y, width, length in scene["boxes_w"].tolist()
-        if width > 0 and length > 0
-    ]
-    axes.add_collection(PatchCollection(boxes, facecolor=OBSTACLE, edgecolor="none"))
+    _draw_obstacles(axes, scene["boxes_w"].tolist(), inflation)
     route = scene["route_w"][: int(scene["route_length"]), :2].numpy()
     planned = np.concatenate((scene["start_w"][None, :2].numpy(), route))
     axes.plot(*planned.T, color=PLAN, linewidth=1.0, linestyle=DASHES, zorder=2)
@@ -130,6 +151,23 @@ def _draw_map(figure: Figure, axes: Axes, scene: Mapping[str, Tensor], steps: Te
     bar = figure.colorbar(lines, ax=axes, fraction=0.04, pad=0.02, aspect=40)
     bar.set_label("speed [m/s]")
     _quiet(axes)
+
+
+def _draw_obstacles(axes: Axes, boxes: list[list[float]], inflation: float) -> None:
+    """Columns, and around them where a flight ends as a collision."""
+    shown = [((x, y), width, length) for x, y, width, length in boxes if width > 0 and length > 0]
+    if inflation > 0 and shown:
+        style = f"round,pad={inflation},rounding_size={inflation}"
+        for box in shown:
+            around = FancyBboxPatch(*box, boxstyle=style, facecolor=_INFLATED, edgecolor="none")
+            axes.add_patch(around)
+        label = f"collision: within {inflation:g} m of an obstacle"
+        patch = Patch(facecolor=_INFLATED, label=label)
+        axes.legend(handles=[patch], loc="upper left", fontsize="small", framealpha=0.8)
+    rectangles = [Rectangle(*box) for box in shown]
+    axes.add_collection(
+        PatchCollection(rectangles, facecolor=OBSTACLE, edgecolor="none", zorder=1.5)
+    )
 
 
 def _draw_velocity(axes: Axes, time: Float[np.ndarray, " t"], steps: TensorDict) -> None:
@@ -168,8 +206,30 @@ def _draw_rewards(
         axes.plot(time, sums[:, i], color=palette(place), label=f"{names[i]} {sums[-1, i]:.2f}")
     total = _tensor(steps, keys.REWARD)[:, 0].cumsum(0).numpy()
     axes.plot(time, total, color=TEXT, linewidth=1.6, label=f"return {total[-1]:.2f}")
-    _dress(axes, "reward, summed", _end(time), legend={"loc": "best", "ncols": 2})
+    _dress(axes, "reward, summed", _end(time), legend={**_BESIDE, "title": "at the end"})
     axes.set_xlabel("time [s]")
+    _set_range(axes, float(time[-1]))
+
+
+def _set_range(axes: Axes, end_s: float) -> None:
+    """Fits the axis to all steps but the last, if that alone would flatten the curves.
+
+    A crash or an arrival is worth more than a whole flight. Curves that leave the axis end in an
+    arrow; where they end is in the legend.
+    """
+    curves = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+    values = np.array([line.get_ydata() for line in curves])
+    low, high = min(0.0, values[:, :-1].min()), max(0.0, values[:, :-1].max())
+    if np.ptp([low, high, *values[:, -1]]) <= _LARGEST_SHARE * (high - low) or high == low:
+        return
+    margin = 0.1 * (high - low)
+    low, high = low - margin, high + margin
+    axes.set_ylim(low, high)
+    for line in curves:
+        last = np.asarray(line.get_ydata())[-1]
+        if not low <= last <= high:
+            edge, marker = (low, "v") if last < low else (high, "^")
+            axes.plot(end_s, edge, marker, color=line.get_color(), markersize=8, clip_on=False)
 
 
 def _dress(axes: Axes, label: str, end_s: float, legend: Mapping[str, Any] = _BESIDE) -> None:

@@ -159,7 +159,7 @@ def test_recover_does_not_overwrite_what_it_reads(run, call, tmp_path):
 
 
 def test_plot_draws_an_episode(run, call, tmp_path):
-    assert call("plot", run, "--episode", -1)[:2] == (0, "episode_5.png\n")
+    assert call("plot", run, "--episode", 5)[:2] == (0, "episode_5.png\n")
     height, width, _ = plt.imread(tmp_path / "episode_5.png").shape
     assert width > height > 1000
 
@@ -252,7 +252,7 @@ def test_an_output_that_exists_is_kept_unless_forced(run, call, tmp_path):
         (("episodes", "RUN", "--where", "length"), "cannot be filtered like this"),
         (("episodes", "RUN", "--sort", "retrun_"), "no 'retrun_'. Did you mean 'return_'"),
         (("plot", "RUN", "--episode", "6"), "no episode 6; the recording holds 6"),
-        (("scene", "RUN", "--episode", "-7"), "no episode -7; the recording holds 6"),
+        (("scene", "RUN", "--episode", "-1"), "no episode -1; the recording holds 6"),
         (("plot", "RUN", "--episode", "0", "--out", "no/a.png"), "no is not a folder"),
         (("plot", "RUN", "--episode", "0", "--out", "a.xyz"), "end with .png, .pdf, .svg; name"),
         (("plot", "bare", "--episode", "0"), "no attachment 'config.yaml'"),

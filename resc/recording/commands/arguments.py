@@ -95,19 +95,6 @@ def selected(log: RolloutLog, condition: str | None) -> Selection:
     return log.where(expression)
 
 
-def number_of(index: int, count: int) -> int:
-    """The number of an episode; negative ones count from the last.
-
-    Raises:
-        RecordingError: There is no such episode.
-    """
-    if not -count <= index < count:
-        raise RecordingError(
-            f"There is no episode {index}; the recording holds {count}, counted from 0."
-        )
-    return index % count
-
-
 def output(given: argparse.Namespace, default: Path) -> Path:
     """Where the output goes.
 

@@ -15,11 +15,10 @@ from resc.recording.commands.arguments import (
     add_output,
     add_recording,
     add_where,
-    number_of,
     output,
     selected,
 )
-from resc.recording.reader import RolloutLog
+from resc.recording.reader import RolloutLog, require_index
 
 Writer = Callable[[RolloutLog, int, Path], object]
 PICTURES = (".png", ".pdf", ".svg")
@@ -101,8 +100,8 @@ def needing(extra: str) -> Iterator[None]:
 
 def _write_episode(given: argparse.Namespace, suffix: str, write: Writer) -> int:
     log = RolloutLog(given.recording)
-    episode = number_of(given.episode, len(log))
-    path = output(given, Path(f"episode_{episode}.{suffix}"))
-    write(log, episode, path)
+    require_index(given.episode, len(log), "episode", "episodes")
+    path = output(given, Path(f"episode_{given.episode}.{suffix}"))
+    write(log, given.episode, path)
     print(path)
     return 0

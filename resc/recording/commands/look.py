@@ -7,8 +7,7 @@ from typing import Any
 
 import polars as pl
 
-from resc.build import nearest
-from resc.errors import RecordingError
+from resc.errors import RecordingError, nearest
 from resc.recording.commands.arguments import (
     add_command,
     add_output,
@@ -17,7 +16,6 @@ from resc.recording.commands.arguments import (
     output,
     selected,
 )
-from resc.recording.description import describe
 from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
 
@@ -122,6 +120,8 @@ def run_episodes(given: argparse.Namespace) -> int:
 
 def run_schema(given: argparse.Namespace) -> int:
     """Prints the tables of all topics."""
+    from resc.recording.description import describe
+
     print(describe() if given.recording is None else describe(RolloutLog(given.recording).columns))
     return 0
 

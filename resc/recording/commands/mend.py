@@ -2,14 +2,15 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from resc.errors import RecordingError
-from resc.recording.check import check
 from resc.recording.commands.arguments import add_command, add_output, add_recording, output
 from resc.recording.location import recordings_at
-from resc.recording.rewrite import Rewritten, merge, recover
 from resc.recording.segments import ACTIVE
+
+if TYPE_CHECKING:
+    from resc.recording.rewrite import Rewritten
 
 
 def add_commands(commands: Any) -> None:  # noqa: ANN401
@@ -48,6 +49,8 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
 
 def run_check(given: argparse.Namespace) -> int:
     """Prints what is wrong; 1 if something is."""
+    from resc.recording.check import check
+
     done = check(given.recording)
     for note in done.notes:
         print(f"note: {note}")
@@ -63,6 +66,8 @@ def run_check(given: argparse.Namespace) -> int:
 
 def run_recover(given: argparse.Namespace) -> int:
     """Writes what can be read to a new file; 1 if something is lost."""
+    from resc.recording.rewrite import recover
+
     name = given.file.name.removesuffix(ACTIVE)
     path = output(given, given.file.with_name(f"recovered_{name}"))
     if path.resolve() == given.file.resolve():
@@ -72,6 +77,8 @@ def run_recover(given: argparse.Namespace) -> int:
 
 def run_merge(given: argparse.Namespace) -> int:
     """Writes several files as one."""
+    from resc.recording.rewrite import merge
+
     found = [path for location in given.recordings for path in recordings_at(location)]
     files = list({path.resolve(): path for path in found}.values())
     path = output(given, Path("merged.mcap"))
@@ -80,7 +87,7 @@ def run_merge(given: argparse.Namespace) -> int:
     return _report(merge(files, path), path)
 
 
-def _report(done: Rewritten, path: Path) -> int:
+def _report(done: "Rewritten", path: Path) -> int:
     for loss in done.lost:
         print(f"left out: {loss}")
     print(f"{path}: {done.batches:,} batches, {path.stat().st_size / 1e6:,.1f} MB")

@@ -1,0 +1,13 @@
+"""Colours of the pictures of flights, without what flies: importing that takes seconds."""
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap
+
+OBSTACLE, PLAN, FRAME, TEXT = "#39424e", "#20262e", "#8a94a3", "#3a434f"
+COLLISION, LOST = "#d7263d", "#b35c00"
+DASHES = (0, (4, 2.5))
+BACKGROUND = LinearSegmentedColormap.from_list("distance", ["#b4c0d2", "#fbfcfd"])
+"""One hue from grey blue to nearly white: between colours this close sRGB is as good as uniform."""
+SPEED = ListedColormap(mpl.colormaps["plasma"](np.linspace(0, 0.86, 256)))
+"""Perceptually uniform, without its pale end, which would drown in the background."""
