@@ -9,6 +9,7 @@ from jaxtyping import Int
 from polars.exceptions import PolarsError
 
 from resc.errors import RecordingError, nearest
+from resc.recording.conditions import require_names, require_value
 from resc.recording.decode import ranges
 from resc.recording.tables import ROWS, as_pandas, step_table
 
@@ -89,10 +90,11 @@ class Selection:
                 raise RecordingError(f"Episodes have no '{name}'.{nearest(name, table.columns)}")
             kind = table.schema[name]
             if isinstance(kind, pl.Enum) and not isinstance(value, pl.Expr):
-                known = kind.categories.to_list()
-                if not isinstance(value, str) or value not in known:
-                    raise RecordingError(f"No {name} is {value!r}.{nearest(str(value), known)}")
+                require_value(name, value, kind.categories.to_list())
         try:
+            for condition in conditions:
+                if isinstance(condition, pl.Expr):
+                    require_names(condition, table)
             wanted = [pl.col(name) == value for name, value in equal.items()]
             return Selection(self._log, table.filter(*conditions, *wanted))
         except (PolarsError, TypeError) as error:

@@ -250,6 +250,8 @@ def test_an_output_that_exists_is_kept_unless_forced(run, call, tmp_path):
         (("episodes", "RUN", "--where", "lenght > 3"), "lenght"),
         (("episodes", "RUN", "--where", "length >"), "is not a condition in SQL"),
         (("episodes", "RUN", "--where", "length"), "cannot be filtered like this"),
+        (("episodes", "RUN", "--where", "outcome = 'colision'"), "Did you mean 'collision'?"),
+        (("parquet", "RUN", "--where", "outcome = 'colision'"), "Did you mean 'collision'?"),
         (("episodes", "RUN", "--sort", "retrun_"), "no 'retrun_'. Did you mean 'return_'"),
         (("plot", "RUN", "--episode", "6"), "no episode 6; the recording holds 6"),
         (("scene", "RUN", "--episode", "-1"), "no episode -1; the recording holds 6"),

@@ -9,6 +9,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer, SliceSampler
 from resc import keys
 from resc.errors import RecordingError
 from resc.recording import Column, RolloutLog
+from resc.recording.commands.arguments import selected
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +52,42 @@ def test_conditions_on_what_is_not_there_are_refused(log):
         RecordingError, match=r"No outcome is 'colision'\. Did you mean 'collision'"
     ):
         log.where(outcome="colision")
-    with pytest.raises(RecordingError, match=r"cannot be filtered like this: .*lenght"):
+    with pytest.raises(RecordingError, match=r"no 'lenght'\. Did you mean 'length'"):
         log.where(pl.col("lenght") > 3)
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        "outcome = 'colision'",
+        "outcome == 'colision' and length > 3",
+        "outcome != 'colision'",
+        "'colision' = outcome",
+        "outcome in ('success', 'colision')",
+        "length = 3 or not (outcome not in ('colision'))",
+        pl.col("outcome") == "colision",
+        pl.col("outcome").is_in(["colision"]) | (pl.col("length") > 3),
+        ~(pl.col("outcome") == pl.lit("colision")),
+    ],
+)
+def test_a_misspelt_outcome_in_a_condition_is_refused_with_a_hint(log, condition):
+    with pytest.raises(
+        RecordingError, match=r"No outcome is 'colision'\. Did you mean 'collision'"
+    ):
+        selected(log, condition) if isinstance(condition, str) else log.where(condition)
+
+
+def test_other_misspelt_names_in_a_condition_are_refused_with_a_hint(log):
+    with pytest.raises(RecordingError, match=r"write outcome == 'collision', with the name in"):
+        selected(log, "outcome = collision")
+    with pytest.raises(RecordingError, match=r"No file is 'rollouts_00001.mcap'\. Available"):
+        selected(log, "file = 'rollouts_00001.mcap'")
+    with pytest.raises(RecordingError, match=r"no 'retrun_'\. Did you mean 'return_'"):
+        selected(log, "length > 3 and retrun_ > 0")
+    file = str(log.files[0])
+    assert len(log.where(pl.col("file") == file)) == 6
+    assert len(selected(log, "outcome in ('success', 'collision') and length < 10")) == 1
+    assert len(log.where(pl.col("outcome").cast(pl.String).str.contains("coll"))) == 2
 
 
 @pytest.mark.parametrize("outcome", [3, None, True, ["collision", "success"]])
