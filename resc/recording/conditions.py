@@ -1,10 +1,14 @@
 """Conditions on episodes: the names in them must be names of something."""
 
+import re
 from collections.abc import Iterator, Mapping
 
 import polars as pl
 
 from resc.errors import RecordingError, nearest
+
+_EQUALS = re.compile(r"\) [!=]=v? |\.(sql_)?is_in\(")
+"""In how polars writes a comparison."""
 
 
 def require_names(condition: pl.Expr, table: pl.DataFrame) -> None:
@@ -54,10 +58,10 @@ def _values(column: pl.Series) -> list[str]:
 
 
 def _compared(condition: pl.Expr) -> Iterator[tuple[str, list[object]]]:
-    """Columns, and the texts that each is compared with."""
+    """Columns, and the texts that each is compared with; patterns, as of LIKE, are none."""
     parts = condition.meta.pop()
     columns = [part.meta.output_name() for part in parts if part.meta.is_column()]
-    if len(columns) == 1:
+    if len(columns) == 1 and _EQUALS.search(str(condition)):
         for part in parts:
             if part.meta.is_literal():
                 values = pl.select(part.alias("value")).to_series()

@@ -1,8 +1,8 @@
 """Which files a path means: one recording, a folder of them, a run, or a pattern."""
 
-import os
 from collections.abc import Iterator
 from glob import glob
+from os.path import realpath
 from pathlib import Path
 
 from resc.errors import RecordingError
@@ -21,7 +21,7 @@ def recordings_at(location: str | Path) -> list[Path]:
     path = Path(location)
     matches = [path] if path.exists() else map(Path, glob(str(location), recursive=True))
     # runs/latest is another name of a run: the same file is not read twice.
-    found = {os.path.realpath(file): file for match in matches for file in _recordings_in(match)}
+    found = {realpath(file): file for match in matches for file in _recordings_in(match)}
     if not found:
         raise RecordingError(
             f"No recording at {location}; give an .mcap file, a folder that holds {PATTERN} or a "
@@ -31,8 +31,9 @@ def recordings_at(location: str | Path) -> list[Path]:
 
 
 def _recordings_in(path: Path) -> Iterator[Path]:
-    if not path.is_dir():
+    if path.is_file():
         yield path
+    if not path.is_dir():  # a device or a pipe may never end
         return
     for folder in (path, path / FOLDER):
         found = [*folder.glob(PATTERN), *folder.glob(PATTERN + ACTIVE)]

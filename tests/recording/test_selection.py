@@ -87,6 +87,7 @@ def test_other_misspelt_names_in_a_condition_are_refused_with_a_hint(log):
     file = str(log.files[0])
     assert len(log.where(pl.col("file") == file)) == 6
     assert len(selected(log, "outcome in ('success', 'collision') and length < 10")) == 1
+    assert len(selected(log, "file like '%00000%'")) == 6
     assert len(log.where(pl.col("outcome").cast(pl.String).str.contains("coll"))) == 2
 
 

@@ -101,7 +101,9 @@ def output(given: argparse.Namespace, default: Path) -> Path:
     Raises:
         RecordingError: A file is there already, or its folder is not.
     """
-    path: Path = given.out or default
+    path: Path = default if given.out is None else given.out
+    if path.is_dir():
+        raise RecordingError(f"{path} is a folder; name a file in it with --out.")
     if path.exists() and not given.force:
         raise RecordingError(f"{path} exists; name another file with --out, or add --force.")
     if not path.parent.is_dir():

@@ -106,7 +106,7 @@ def run_episodes(given: argparse.Namespace) -> int:
         table = table.reverse()
     as_csv = given.csv or given.out is not None
     limit = given.limit if given.limit is not None or as_csv else _ROWS
-    shown = table if limit is None else table.head(limit)
+    shown = table if limit is None else table.head(min(limit, len(table)))
     if given.out is not None:
         with replacing(output(given, given.out)) as unfinished:
             unfinished.write_text(shown.write_csv(), encoding="utf-8")

@@ -1,6 +1,7 @@
 """Commands about whole files: check, recover, merge."""
 
 import argparse
+from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,9 +69,13 @@ def run_recover(given: argparse.Namespace) -> int:
     """Writes what can be read to a new file; 1 if something is lost."""
     from resc.recording.rewrite import recover
 
+    if given.file.is_dir():
+        raise RecordingError(f"{given.file} is a folder; name one of the files in it.")
+    if given.file.exists() and not given.file.is_file():
+        raise RecordingError(f"{given.file} is no file; name a recording.")
     name = given.file.name.removesuffix(ACTIVE)
     path = output(given, given.file.with_name(f"recovered_{name}"))
-    if path.resolve() == given.file.resolve():
+    if realpath(path) == realpath(given.file):
         raise RecordingError(f"{path} is the file to recover; name another with --out.")
     return _report(recover(given.file, path), path)
 
@@ -80,9 +85,9 @@ def run_merge(given: argparse.Namespace) -> int:
     from resc.recording.rewrite import merge
 
     found = [path for location in given.recordings for path in recordings_at(location)]
-    files = list({path.resolve(): path for path in found}.values())
+    files = list({realpath(path): path for path in found}.values())
     path = output(given, Path("merged.mcap"))
-    if path.resolve() in [file.resolve() for file in files]:
+    if realpath(path) in map(realpath, files):
         raise RecordingError(f"{path} is one of the files to merge; name another with --out.")
     return _report(merge(files, path), path)
 
