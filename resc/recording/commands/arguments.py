@@ -1,6 +1,7 @@
 """What the commands share: their arguments, the episodes they mean, the files they write."""
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,7 @@ def output(given: argparse.Namespace, default: Path) -> Path:
     path: Path = default if given.out is None else given.out
     if path.is_dir():
         raise RecordingError(f"{path} is a folder; name a file in it with --out.")
-    if path.exists() and not given.force:
+    if os.path.lexists(path) and not given.force:
         raise RecordingError(f"{path} exists; name another file with --out, or add --force.")
     if not path.parent.is_dir():
         raise RecordingError(f"{path.parent} is not a folder; create it, or change --out.")
