@@ -36,21 +36,6 @@ RESUMABLE = ("total_frames", "threads", "checkpoint_every_s", "allowed_targets")
 """Settings that a resumed run takes from its command line; all others are the run's own."""
 
 
-def typed(stored: DictConfig, schema: type[RunSchema], path: Path) -> DictConfig:
-    """A stored configuration with the types of its schema, checked like one from a command line.
-
-    Raises:
-        ConfigError: A setting is unknown, of another type or out of range.
-    """
-    try:
-        config = cast(DictConfig, OmegaConf.merge(OmegaConf.structured(schema), stored))
-    except OmegaConfBaseException as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(f"{path}: {reason}; restore it from its run.") from None
-    check_settings(config, schema)
-    return config
-
-
 def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
     """Refuses names that no run has, and numbers that no run can have.
 
@@ -76,19 +61,21 @@ def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
 
 
 def typed(stored: DictConfig, schema: type[RunSchema], path: Path) -> DictConfig:
-    """A stored configuration with the types of a run's settings, as Hydra composes one.
+    """A stored configuration with the types of a run's settings, as Hydra composes one, checked.
 
     Raises:
-        ConfigError: A setting is missing, foreign or of another type.
+        ConfigError: A setting is missing, foreign, of another type or out of range.
     """
     repair = f"restore {path} from its run"
     if missing := [field.name for field in fields(schema) if field.name not in stored]:
         raise ConfigError(f"{path} has no {missing[0]}; {repair}.")
     try:
-        return cast(DictConfig, OmegaConf.merge(OmegaConf.structured(schema), stored))
+        config = cast(DictConfig, OmegaConf.merge(OmegaConf.structured(schema), stored))
     except OmegaConfBaseException as error:
         reason = str(error).partition("\n")[0]
         raise ConfigError(f"{error.full_key} is wrong ({reason}); {repair}.") from None
+    check_settings(config, schema)
+    return config
 
 
 def _refuse_unknown(given: Iterable[str], known: Iterable[str], prefix: str) -> None:

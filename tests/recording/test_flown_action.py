@@ -27,8 +27,8 @@ from resc.recording.rollouts import open_recorder, record_world
 from resc.recording.schema import ACTION, SAMPLED_ACTION
 
 SMALL = (
-    "num_envs=4", "pool_size=4", "renew_scenes=0", "obstacle_observation=none", "algorithm.steps=32",
-    "algorithm.minibatch=64", "model.hidden=[16]", "recorder=mcap", "seed=3",
+    "num_envs=4", "pool_size=4", "renew_scenes=0", "obstacle_observation=none",
+    "algorithm.steps=32", "algorithm.minibatch=64", "model.hidden=[16]", "recorder=mcap", "seed=3",
 )  # fmt: skip
 
 
@@ -135,7 +135,9 @@ def test_a_run_begun_with_an_older_version_is_read_with_its_resumption(tmp_path,
 
 
 def test_replays_and_datasets_without_the_sample_are_refused(tmp_path):
-    log = RolloutLog(record(tmp_path, fields=["state", "action", "reward", "terminated", "truncated"]))
+    log = RolloutLog(
+        record(tmp_path, fields=["state", "action", "reward", "terminated", "truncated"])
+    )
     assert log.to_tensordict()["action"].abs().max() <= 1
     with pytest.raises(RecordingError, match="no column sampled_action, which a dataset needs"):
         transitions(log.where(), config={})
