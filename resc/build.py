@@ -6,32 +6,41 @@ no foreign code.
 
 import importlib
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
-from resc.errors import ConfigError, nearest
+from resc.errors import ConfigError, nearest, shown
+from resc.maps.cells import require_room
 from resc.math.sampling import generator_for
 from resc.quantities import checked
-from resc.scenes.layout import Layout
+from resc.scenes.layout import PARKED_M, Layout, Scene
 from resc.scenes.pool import ScenePool
-from resc.term import Curriculum, Observation, Reward, Term
+from resc.term import CellSize, Curriculum, Observation, Reward, Term
 from resc.terms.randomizations.action_delay import ActionDelay
 
 ALLOWED = ("resc.", "torch.optim.")
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
+PROBED = 32
+"""Scenes laid out to look at, before a whole pool is."""
 FUNCTIONS = ("resc.learning.networks.build_networks",)
 """Our only targets that are functions: others, `build` for one, would build what they are told."""
 
 
 def build(
-    config: Mapping[str, Any], path: str, *, allowed: Iterable[str] = (), **extra: Any
+    config: Any,
+    path: str,
+    *,
+    allowed: Iterable[str] = (),
+    kind: type | None = None,
+    **extra: Any,
 ) -> Any:
     """The object that one configuration node describes.
 
@@ -39,19 +48,25 @@ def build(
         config: A mapping with `_target_` and keyword arguments.
         path: Where the node stands, for messages.
         allowed: Further prefixes of `_target_`.
+        kind: What the object must be.
         **extra: Arguments that come from the program, not from the configuration.
 
     Raises:
-        ConfigError: The target is unknown or not allowed, an argument is unknown, missing, of the
-            wrong type or out of range.
+        ConfigError: The target is unknown, not allowed or of another kind, an argument is unknown,
+            missing, of the wrong type or out of range.
     """
     if not isinstance(config, Mapping) or "_target_" not in config:
         raise ConfigError(
-            f"{path} has no _target_; name the class to build, e.g. "
+            f"{path} has no _target_, it is {shown(_plain(config))}; name the class to build, e.g. "
             "resc.terms.rewards.progress.Progress."
         )
-    target = locate(str(config["_target_"]), path, (*ALLOWED, *allowed))
-    arguments = {key: _plain(value) for key, value in config.items() if key != "_target_"}
+    node = _resolved(config, path)
+    if not isinstance(node["_target_"], str):
+        raise ConfigError(
+            f"{path}._target_ is {shown(node['_target_'])}; expected the name of a class."
+        )
+    target = locate(node["_target_"], path, (*ALLOWED, *allowed))
+    arguments = {str(key): value for key, value in node.items() if key != "_target_"}
     parameters = _arguments_of(target)
     known = [name for name in parameters if name not in extra]
     for name, value in arguments.items():
@@ -69,23 +84,41 @@ def build(
             f"{path}.{missing[0]}."
         )
     try:
-        return target(**arguments, **extra)
+        made = target(**arguments, **extra)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+    except Exception as error:  # whatever a user's class raises is theirs to know
+        raise ConfigError(
+            f"{path} cannot be built: {target.__name__} raises {_reason(error)}."
+        ) from error
+    if kind is not None and not isinstance(made, kind):
+        raise ConfigError(f"{path} builds a {type(made).__name__}, which is no {kind.__name__}.")
+    return made
 
 
 def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]:
     """The class or function a `_target_` names, if its prefix is allowed."""
-    if not target.startswith(tuple(allowed)):
+    allowed = tuple(allowed)
+    package = target.partition(".")[0]
+    if not target.startswith(allowed):
+        opted = [prefix for prefix in allowed if prefix not in ALLOWED]
+        listed = ",".join([*opted, f"{package}."])
+        begun = f"{package}. is not among them; " if opted else ""
         raise ConfigError(
-            f"{path}._target_ is '{target}', outside {', '.join(allowed)}; opt in with "
-            "allowed_targets=[yourpackage.]"
+            f"{path}._target_ is '{target}', outside {', '.join(allowed)}; {begun}opt in with "
+            f"allowed_targets=[{listed}]"
         )
     module_name, _, name = target.rpartition(".")
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
-        raise ConfigError(f"{path}._target_ is '{target}', but {error}.") from None
+    except ModuleNotFoundError as error:
+        where = "" if target.startswith(ALLOWED) or error.name != package else _search_help(package)
+        raise ConfigError(f"{path}._target_ is '{target}', but {error}{where}.") from None
+    except Exception as error:  # a module that is there, but cannot be imported
+        raise ConfigError(
+            f"{path}._target_ is '{target}', but {module_name} cannot be imported: "
+            f"{_reason(error)}."
+        ) from error
     found = getattr(module, name, None)
     if not callable(found):
         raise ConfigError(
@@ -98,30 +131,27 @@ def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]
     return found
 
 
-def build_terms(
-    group: Mapping[str, Any] | None, path: str, kind: type[Term], allowed: Iterable[str] = ()
-) -> list[Any]:
+def build_terms(group: Any, path: str, kind: type[Term], allowed: Iterable[str] = ()) -> list[Any]:
     """The terms of one group, in the order of the configuration, each with its name."""
-    terms = []
-    for name, node in (group or {}).items():
-        if node is None:
-            continue
-        term = _build_term(node, f"{path}.{name}", allowed)
-        if not isinstance(term, kind):
-            raise ConfigError(
-                f"{path}.{name} builds a {type(term).__name__}, which is no {kind.__name__}."
-            )
-        terms.append(term.named(name))
-    return terms
+    if not isinstance(group, Mapping | None):
+        raise ConfigError(
+            f"{path} is {shown(_plain(group))}; expected terms by their names, as the files of "
+            f"conf/{path} have them."
+        )
+    return [
+        _build_term(node, f"{path}.{name}", allowed, kind).named(str(name))
+        for name, node in (group or {}).items()
+        if node is not None
+    ]
 
 
-def _build_term(node: Any, path: str, allowed: Iterable[str]) -> Any:
+def _build_term(node: Any, path: str, allowed: Iterable[str], kind: type[Term]) -> Any:
     """One term, and the difficulty that eases it, which is no argument of its class."""
     if not isinstance(node, Mapping) or "difficulty" not in node:
-        return build(node, path, allowed=allowed)
+        return build(node, path, allowed=allowed, kind=kind)
     eased = node["difficulty"]
     rest = {key: value for key, value in node.items() if key != "difficulty"}
-    term = build(rest, path, allowed=allowed)
+    term = build(rest, path, allowed=allowed, kind=kind)
     if eased is None:
         return term
     if not getattr(term, "eases", False):
@@ -143,30 +173,30 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
 
     allowed = config.get("allowed_targets", ())
     vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
-    constants = {name: value for name, value in config["env"].items() if name != "layout"}
-    context = build({"_target_": "resc.term.Context", **constants}, "env", vehicle=vehicle)
+    env = _resolved(config["env"], "env")
+    layout = checked("env.layout", env.pop("layout", []), Sequence[str])
+    context = build({"_target_": "resc.term.Context", **env}, "env", vehicle=vehicle)
 
     def group(name: str, kind: type[Term]) -> list[Any]:
         return build_terms(config.get(name), name, kind, allowed)
 
-    def one(name: str) -> Any:
-        return build(config[name], name, allowed=allowed).named(name)
+    def one(name: str, kind: type[Term] = Term) -> Any:
+        return build(config[name], name, allowed=allowed, kind=kind).named(name)
 
-    task = config["task"]
+    def of_task(name: str) -> Any:
+        node = _resolved(config["task"], "task").get(name)
+        return _build_term(node, f"task.{name}", allowed, Term).named(name)
+
     terms = Terms(
-        action=one("action"),
+        action=one("action", kinds.Action),
         rate_loop=one("rate_loop"),
         dynamics=one("dynamics"),
-        task=build(task["control_points"], "task.control_points", allowed=allowed).named(
-            "control_points"
-        ),
-        initial_state=_build_term(task["initial_state"], "task.initial_state", allowed).named(
-            "initial_state"
-        ),
+        task=of_task("control_points"),
+        initial_state=of_task("initial_state"),
         sensors=group("sensor", kinds.Sensor),
         terminations=group("termination", kinds.Termination),
         rewards=group("reward", Reward),
-        observations=_in_layout(group("observation", Observation), config["env"]["layout"]),
+        observations=_in_layout(group("observation", Observation), layout),
         randomizations=group("randomization", kinds.Randomization),
         metrics=group("metric", kinds.Metric),
     )
@@ -186,17 +216,29 @@ def build_pool(
     curricula: Iterable[Curriculum] = (),
 ) -> ScenePool:
     """The scene pool of a run's configuration, at full difficulty unless a curriculum eases it."""
-    scene = build(config["scene"], "scene", allowed=config.get("allowed_targets", ()))
+    scene = build(config["scene"], "scene", allowed=config.get("allowed_targets", ()), kind=Scene)
+    resolution_m = cell_of(config)
+    some = scene.sample(PROBED, generator_for(seed, "scene_layout"))
+    require_room(size, some.size, resolution_m, device)
+    _require_boxes(scene, some)
     levels = {term.name: term.levels for term in curricula}
-    return ScenePool(
+    pool = ScenePool(
         scene,
         size=size,
-        resolution_m=config["env"]["resolution_m"],
+        resolution_m=resolution_m,
         generator=generator_for(seed, "scene_layout"),
         device=device,
         plan=plan,
         levels=levels.get(config["scene"].get("difficulty"), (1.0,)),
     )
+    _require_ways(pool.layout, config)
+    return pool
+
+
+def cell_of(config: Mapping[str, Any]) -> float:
+    """Edge of a map cell [m] of a run's configuration."""
+    env = _resolved(config["env"], "env")
+    return checked("env.resolution_m", env.get("resolution_m"), CellSize)
 
 
 def build_env(config: Mapping[str, Any], pool: ScenePool, **options: Any) -> QuadrotorEnv:
@@ -209,6 +251,31 @@ def build_env(config: Mapping[str, Any], pool: ScenePool, **options: Any) -> Qua
         compiled=config["compile"],
         **options,
     )
+
+
+def _require_boxes(scene: Scene, some: Layout) -> None:
+    """Guards that leave no room for any box would make a free scene without a word."""
+    wanted = getattr(scene, "boxes", 0)
+    if isinstance(wanted, int) and wanted and not (some.boxes_w[..., 0] < PARKED_M).any():
+        raise ConfigError(
+            f"scene.boxes is {wanted}, but {len(some)} scenes have not a single one: none is far "
+            "enough from start, goal or path; lower the distances to keep clear, or set "
+            "scene.boxes=0."
+        )
+
+
+def _require_ways(layout: Layout, config: Mapping[str, Any]) -> None:
+    """An arrival that reaches from all goals to their starts leaves nothing to fly."""
+    task = (config.get("task") or {}).get("control_points") or {}
+    radius_m = task.get("radius_m")
+    last = layout.route_length.clamp(min=1).unsqueeze(-1).expand(-1, 1, 3) - 1
+    goal = layout.route_w.gather(1, last)[:, 0]
+    farthest_m = float(torch.linalg.vector_norm((goal - layout.start_w)[:, :2], dim=-1).max())
+    if isinstance(radius_m, int | float) and farthest_m <= radius_m and len(layout) > 1:
+        raise ConfigError(
+            f"task.control_points.radius_m is {radius_m}, but no goal is farther than "
+            f"{farthest_m:.3g} m from its start; lower it."
+        )
 
 
 def _arguments_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
@@ -269,8 +336,35 @@ def _in_layout(observations: list[Observation], layout: Iterable[str]) -> list[O
     return sorted(observations, key=lambda term: order.get(term.name, len(order)))
 
 
+def _reason(error: Exception) -> str:
+    """An error's type and the first line of what it says."""
+    return f"{type(error).__name__}: {(str(error).splitlines() or ['nothing'])[0]}"
+
+
+def _search_help(package: str) -> str:
+    return (
+        f" where Python looks for packages; set PYTHONPATH to the folder that holds {package}/, "
+        "or install it"
+    )
+
+
+def _resolved(node: Any, path: str) -> dict[Any, Any]:
+    """A mapping with its interpolations filled in."""
+    try:
+        plain = _plain(node)
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{path} cannot be resolved ({_reason(error)}).") from None
+    if not isinstance(plain, Mapping):
+        raise ConfigError(f"{path} is {shown(plain)}; expected settings by their names.")
+    return {key: _plain(value) for key, value in plain.items()}
+
+
 def _plain(value: Any) -> Any:
-    return OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+    return (
+        OmegaConf.to_container(value, resolve=True, throw_on_missing=True)
+        if OmegaConf.is_config(value)
+        else value
+    )
 
 
 def _public(module: Any) -> list[str]:

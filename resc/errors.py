@@ -42,3 +42,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     hint = f" Did you mean '{close[0]}'?" if close else ""
     return f"{hint} Available: {', '.join(known) or 'none'}."
+
+
+def shown(value: object, longest: int = 80) -> str:
+    """A value as a message quotes it: its beginning, if it is long."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        text = "a number of thousands of digits"
+    return text if len(text) <= longest else f"{text[:longest]}..."

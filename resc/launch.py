@@ -237,7 +237,7 @@ def explain(error: Exception, config_name: str) -> str:
     """What is wrong with the command line, and the nearest names that exist."""
     text = str(error)
     if override := re.search(r"Could not override '([\w.@/]+)'", text):
-        return _explain_override(override[1], config_name)
+        return _explain_override(override[1], config_name, _choices(sys.argv[1:]))
     if option := re.search(r"Could not (?:load|find) '([\w/]+)/(\w+)'", text):
         group, name = option.groups()
         if (CONF / group).is_dir():
@@ -247,10 +247,19 @@ def explain(error: Exception, config_name: str) -> str:
     return " ".join(f"{text}. {cause}".split())
 
 
-def _explain_override(path: str, config_name: str) -> str:
+def _choices(arguments: Sequence[str]) -> list[str]:
+    """Those arguments that choose files of a group: what a setting exists beside."""
+    named = {text: text.partition("=")[0].lstrip("+").partition("@")[0] for text in arguments}
+    return [text for text, group in named.items() if "=" in text and (CONF / group).is_dir()]
+
+
+def _explain_override(path: str, config_name: str, choices: Sequence[str]) -> str:
     GlobalHydra.instance().clear()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        node = compose(config_name)
+        try:
+            node = compose(config_name, list(choices))
+        except HydraException:  # choices of several runs, or from elsewhere
+            node = compose(config_name)
     parts = path.replace("/", ".").split(".")
     found: list[str] = []
     while (

@@ -1,10 +1,17 @@
 """Settings of the whole process: threads and device."""
 
 import os
+from pathlib import Path
 
 import torch
 
 from resc.errors import ConfigError
+
+GIB = 2**30
+CGROUP_LIMITS = (
+    Path("/sys/fs/cgroup/memory.max"),
+    Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
+)
 
 
 def prepare_process(threads: int, device: str) -> None:
@@ -19,3 +26,36 @@ def prepare_process(threads: int, device: str) -> None:
     if device != "cpu" and not (device.startswith("cuda") and torch.cuda.is_available()):
         raise ConfigError(f"device is '{device}', which is not there; use device=cpu.")
     torch.set_num_threads(threads)
+
+
+def require_memory(
+    needed: int | float, fact: str, advice: str, device: torch.device | str = "cpu"
+) -> None:
+    """Nothing, if this machine (or its accelerator) has the memory that something needs.
+
+    Args:
+        needed: Bytes, at least.
+        fact: What needs them: a setting and its value.
+        advice: What to change.
+        device: Where they are needed.
+
+    Raises:
+        ConfigError: It has less in all.
+    """
+    has = _memory_of(torch.device(device))
+    if needed > has:
+        raise ConfigError(
+            f"{fact}: that takes at least {needed / GIB:,.1f} GiB, this machine has "
+            f"{has / GIB:,.1f}; {advice}."
+        )
+
+
+def _memory_of(device: torch.device) -> int:
+    """All memory there is on a device, within the limits of a container [bytes]."""
+    if device.type == "cuda":
+        return torch.cuda.mem_get_info(device)[1]
+    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    for path in CGROUP_LIMITS:
+        text = path.read_text().strip() if path.exists() else ""
+        limits += [int(text)] if text.isdecimal() else []
+    return min(limits)

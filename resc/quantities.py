@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from resc.errors import ConfigError
+from resc.errors import ConfigError, shown
 
 LARGEST = 1e6
 """Of a quantity in SI units; what is beyond is a slip of the finger or of the unit."""
@@ -69,13 +69,15 @@ def checked(path: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - of
     if annotation in (float, int):
         return _number(path, value, annotation)
     if origin is Literal and value not in inner:
-        raise ConfigError(f"{path} is {value!r}; expected one of {', '.join(map(str, inner))}.")
+        raise ConfigError(
+            f"{path} is {shown(value)}; expected one of {', '.join(map(str, inner))}."
+        )
     for kind, name in ((str, "a name"), (bool, "true or false")):
         if annotation is kind and not isinstance(value, kind):
-            raise ConfigError(f"{path} is {value!r}; expected {name}.")
+            raise ConfigError(f"{path} is {shown(value)}; expected {name}.")
     if origin is Sequence:
         if not isinstance(value, list | tuple):
-            raise ConfigError(f"{path} is {value!r}; expected a list.")
+            raise ConfigError(f"{path} is {shown(value)}; expected a list.")
         return [checked(f"{path}[{number}]", part, inner[0]) for number, part in enumerate(value)]
     return value
 
@@ -84,11 +86,11 @@ def _number(path: str, value: Any, kind: type[int] | type[float]) -> int | float
     wanted = (int, float) if kind is float else (int,)
     if isinstance(value, bool) or not isinstance(value, wanted):
         expected = "a number" if kind is float else "a whole number"
-        raise ConfigError(f"{path} is {value!r}; expected {expected}.")
+        raise ConfigError(f"{path} is {shown(value)}; expected {expected}.")
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{path} is {value}; expected a finite number.")
     if abs(value) > LIMIT:
-        raise ConfigError(f"{path} is {value:.3g}; expected a number of a size below {LIMIT:g}.")
+        raise ConfigError(f"{path} is {shown(value)}; expected a number of a size below {LIMIT:g}.")
     return kind(value)
 
 

@@ -16,6 +16,8 @@ from resc.math.sampling import gaussian
 from resc.quantities import Count, NotNegative, Number, Positive, Within
 
 FRAMES = ("world", "heading")
+CellSize = Annotated[float, Within(0.001, 1)]
+"""A greater cell has room for a vehicle beside each obstacle in it."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,8 @@ class Context:
         history: Steps that an observation shows when it does not say itself.
     """
 
-    dt_s: Annotated[float, Within(0, 1, above=True)]
-    resolution_m: Annotated[float, Within(0.001, 10)]
+    dt_s: Annotated[float, Within(1e-4, 0.5)]
+    resolution_m: CellSize
     vehicle: Any
     observation_frame: str = "world"
     history: Count = 1

@@ -130,6 +130,67 @@ def test_targets_outside_the_allowed_packages_are_refused(target):
     )
 
 
+def test_who_has_opted_in_to_another_package_is_told_which_prefix_is_missing():
+    refused(
+        {"_target_": "mine.tilt.Tilt", "weight": 1.0},
+        r"'mine\.tilt\.Tilt', outside resc\., torch\.optim\., yours\.; mine\. is not among them; "
+        r"opt in with allowed_targets=\[yours\.,mine\.\]$",
+        allowed=["yours."],
+    )
+
+
+def test_a_permitted_package_that_python_does_not_find_is_told_where_it_looks():
+    refused(
+        {"_target_": "nowhere_at_all.tilt.Tilt", "weight": 1.0},
+        r"No module named 'nowhere_at_all' where Python looks for packages; set PYTHONPATH to the "
+        r"folder that holds nowhere_at_all/",
+        allowed=["nowhere_at_all."],
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [("def (", "SyntaxError: "), ("import nothing_like_it", "No module named"), ("1 / 0", "ZeroD")],
+)
+def test_a_module_that_cannot_be_imported_is_named_with_the_reason(
+    tmp_path, monkeypatch, text, reason
+):
+    (tmp_path / "broken_for_build.py").write_text(f"{text}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    node = {"_target_": "broken_for_build.Thing"}
+    refused(node, rf"broken_for_build.*{reason}", allowed=["broken_for_build."])
+
+
+def test_a_class_that_raises_is_named_with_the_reason(tmp_path, monkeypatch):
+    (tmp_path / "raising_for_build.py").write_text(
+        "class Thing:\n    def __init__(self):\n        [][1]\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    node = {"_target_": "raising_for_build.Thing"}
+    message = (
+        r"^reward\.progress cannot be built: Thing raises IndexError: list index out of range\.$"
+    )
+    refused(node, message, allowed=["raising_for_build."])
+
+
+@pytest.mark.parametrize("value", [10**400, 10**30, 1e30], ids=["400", "30", "float"])
+def test_a_number_beyond_belief_is_refused_with_its_beginning(value):
+    refused(
+        {**PROGRESS, "speed_mps": value}, r"speed_mps is -?1.*; expected a number"
+    )
+
+
+@pytest.mark.parametrize("group", [3, "progress", ["progress"]])
+def test_a_list_of_terms_that_is_none_is_refused(group):
+    with pytest.raises(ConfigError, match=r"reward is .*; expected terms by their names"):
+        build_terms(group, "reward", Reward)
+
+
+def test_settings_that_refer_to_nothing_are_refused():
+    node = OmegaConf.create({**PROGRESS, "weight": "${nowhere.weight}"})
+    refused(node, r"reward\.progress cannot be resolved \(InterpolationKeyError")
+
+
 def test_a_refused_target_is_not_even_imported(tmp_path, monkeypatch):
     (tmp_path / "trap_for_build.py").write_text("raise SystemExit('imported')\n")
     monkeypatch.syspath_prepend(tmp_path)

@@ -55,6 +55,14 @@ def test_wrong_override_of_training_gets_one_sentence_and_a_failing_status(
     assert sentence in last
 
 
+def test_a_wrong_number_of_a_part_that_was_chosen_is_explained_by_that_part(tmp_path):
+    chosen = ("randomization=[mass]", "randomization.mass.foo=1")
+    done = start("train.py", *chosen, f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 1
+    assert "randomization.mass has no 'foo'" in done.stderr
+    assert "Available: _target_, spread." in done.stderr
+
+
 def test_two_modes_at_once_get_one_sentence():
     done = start("train.py", "-m", "--cfg", "job")
     assert done.returncode == 1

@@ -14,7 +14,11 @@ from resc.envs.stages import Stages, StepOutput, World
 from resc.envs.trial import check_terms
 from resc.errors import CallError, ConfigError
 from resc.math.sampling import generator_for, require_seed
+from resc.process import require_memory
 from resc.scenes.pool import ScenePool
+
+BYTES_PER_ENVIRONMENT = 2048
+"""At least: the world, the observation and what a step holds in between."""
 
 
 class QuadrotorEnv(EnvBase):
@@ -53,6 +57,9 @@ class QuadrotorEnv(EnvBase):
     ) -> None:
         if num_envs < 1:
             raise ConfigError(f"num_envs is {num_envs}; expected at least 1.")
+        require_memory(
+            num_envs * BYTES_PER_ENVIRONMENT, f"num_envs is {num_envs}", "lower it", device
+        )
         super().__init__(device=torch.device(device), batch_size=torch.Size((num_envs,)))
         self.stages = stages.to(device)
         self.pool = pool

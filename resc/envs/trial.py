@@ -69,9 +69,15 @@ def _fly(stages: Stages, pool: ScenePool, device: torch.device) -> None:
     full = {name: torch.ones(1, 1, device=device) for name in stages.difficulties}
     at_reset = drawn(stages.reset_draws | stages.step_draws)
     world, _ = stages.restart(tasks, entries, shared, at_reset, full)
-    for _ in range(STEPS):
+    for step in range(STEPS):
         action = 2 * torch.rand(COUNT, stages.terms.action.width, generator=generator) - 1
-        world, _ = stages.step(world, shared, action.to(device), drawn(stages.step_draws))
+        world, out = stages.step(world, shared, action.to(device), drawn(stages.step_draws))
+        if step == 0 and len(pool) >= COUNT and out.done.all():
+            ends = ", ".join(sorted({stages.outcomes[int(code)] for code in out.outcome}))
+            raise ConfigError(
+                f"Every episode ends in its first step ({ends}); check the numbers of these "
+                "terminations against where the scene's episodes start."
+            )
 
 
 def _watching(term: Term, batch: int) -> Callable[..., Tensor | tuple[Tensor, ...]]:
@@ -175,8 +181,8 @@ def _require_fit(
     finite = ~value.isnan() if isinstance(term, Metric) else value.isfinite()
     if not finite.all():
         wrong = value[~finite][0].item()
-        rest = value.ndim == 2 and ~finite.all(0)
-        column = f" in column {int(rest.nonzero()[0])}" if value.shape[-1] > 1 else ""
+        several = value.ndim == 2 and value.shape[1] > 1
+        column = f" in column {int((~finite.all(0)).nonzero()[0])}" if several else ""
         raise ConfigError(
             f"{name} gives {wrong}{column} at the beginning of an episode; expected finite "
             "numbers: look for a division by zero, a root or logarithm of a number below zero."
@@ -205,8 +211,8 @@ def _wanted(
 
 def _written(shape: Sequence[int | str], batch: int = COUNT) -> str:
     """A shape as documentation writes it: the number of environments is n."""
-    named = {COUNT: "n"} if batch == COUNT else {}
-    return f"[{', '.join(named.get(size, str(size)) for size in shape)}]"
+    sizes = ["n" if size == batch == COUNT else str(size) for size in shape]
+    return f"[{', '.join(sizes)}]"
 
 
 def _accelerators(device: torch.device) -> list[int]:

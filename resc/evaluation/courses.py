@@ -10,9 +10,13 @@ from jaxtyping import Float
 
 from resc.build import build
 from resc.errors import ConfigError
+from resc.maps.cells import require_room
 from resc.math.sampling import generator_for
 from resc.planning.route import RoutePlanner
-from resc.scenes.layout import Layout
+from resc.scenes.layout import Layout, Scene
+
+TYPICAL_CELL_M = 0.1
+"""Edge of a map cell where no planner tells it."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,10 @@ def lay_out(
         raise ConfigError(f"flights is {flights}; expected at least 1.")
     courses = []
     for name, node in scenes.items():
-        scene = build(node, f"scene.{name}", allowed=allowed)
+        scene = build(node, f"scene.{name}", allowed=allowed, kind=Scene)
+        cell_m = planner.search.resolution_m if planner else TYPICAL_CELL_M
+        one = scene.sample(1, generator_for(seed, f"evaluation/{name}"))
+        require_room(flights, one.size, cell_m, "cpu")
         layout = scene.sample(flights, generator_for(seed, f"evaluation/{name}"))
         own_routes = bool((layout.route_length > 0).all())
         if own_routes:

@@ -12,10 +12,13 @@ from torch import Tensor, nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 
 from resc.errors import ConfigError
+from resc.process import require_memory
 from resc.quantities import Positive, Within
 
 EPSILON = 1e-8
 BOUND = 10.0
+COPIES = 8
+"""Of the weights in memory: policy and value, each with its gradient and Adam's two moments."""
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}
 
 
@@ -144,6 +147,10 @@ def build_networks(
         )
     if initial_std <= 0 or min(hidden, default=1) < 1:
         raise ConfigError("initial_std and every hidden width must be above zero.")
+    weights = sum(a * b for a, b in itertools.pairwise([observation_width, *hidden, action_width]))
+    require_memory(
+        4.0 * weights * COPIES, f"hidden is {list(hidden)}", "take narrower or fewer layers"
+    )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         body = _perceptron(observation_width, hidden, action_width, activation, gain=0.01)

@@ -24,7 +24,8 @@ from resc.learning.diagnosis import largest_reward, require_finite
 from resc.learning.networks import Networks, RunningNormalization
 from resc.learning.statistics import EpisodeStatistics
 from resc.math.sampling import generator_for
-from resc.quantities import Count, NotNegative, Positive, Share, Within
+from resc.process import require_memory
+from resc.quantities import Count, NotNegative, Number, Positive, Share, Within
 from resc.term import Curriculum
 
 RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
@@ -63,8 +64,8 @@ class PpoSettings:
     gamma: Share
     gae_lambda: Share
     clip_epsilon: Positive
-    entropy_coefficient: NotNegative
-    value_coefficient: NotNegative
+    entropy_coefficient: Number
+    value_coefficient: Positive
     max_grad_norm: Positive
     reward_scale: Positive
     target_kl: Positive | None = None
@@ -346,10 +347,6 @@ class Ppo:
         """The batch's memory, [steps, n]."""
         shape = (self.settings.steps, self.env.num_envs)
         device = self.env.device
-        flags = {
-            name: torch.zeros(*shape, 1, dtype=torch.bool, device=device)
-            for name in ("terminated", "truncated", "done")
-        }
         widths = {
             "observation": self.env.observation_width,
             "action": self.env.action_spec.shape[-1],
@@ -358,6 +355,17 @@ class Ppo:
             "advantage": 1,
             "value_target": 1,
             "reward_terms": len(self.env.stages.terms.rewards),
+        }
+        per_step = sum(widths.values()) + widths["observation"]  # the update normalises a copy
+        require_memory(
+            4.0 * per_step * self.batch_frames,
+            f"algorithm.steps is {self.settings.steps} and num_envs {self.env.num_envs}",
+            "lower one of them",
+            device,
+        )
+        flags = {
+            name: torch.zeros(*shape, 1, dtype=torch.bool, device=device)
+            for name in ("terminated", "truncated", "done")
         }
         floats = {name: torch.zeros(*shape, width, device=device) for name, width in widths.items()}
         states = {

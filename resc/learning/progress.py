@@ -1,10 +1,12 @@
 """What a run shows and leaves: table of terms, progress bar, progress.csv, learning curve."""
 
 import csv
+import re
 from collections.abc import Mapping
 from itertools import cycle
 from pathlib import Path
 from statistics import mean
+from textwrap import shorten
 from typing import Any
 
 import matplotlib as mpl
@@ -19,6 +21,9 @@ from matplotlib import pyplot as plt
 
 STYLES = ("solid", "dashed", "dotted")
 """Of the lines of several difficulties."""
+ABBREVIATIONS = ("eq", "eqs", "fig", "e.g", "i.e", "cf", "vs", "approx", "ref", "sec")
+"""Before a full stop that ends no sentence."""
+LONGEST_SENTENCE = 100
 _BESIDE: dict[str, Any] = {
     "loc": "center left",
     "bbox_to_anchor": (1.0, 0.5),
@@ -204,4 +209,6 @@ def _draw_success_by_difficulty(axes: Axes, rows: list[dict[str, float]], names:
 def _first_sentence(term: object) -> str:
     """The first sentence of a term's docstring."""
     text = " ".join((type(term).__doc__ or "").split())
-    return text.split(". ")[0].rstrip(".")[:90]
+    ends = [found.start() for found in re.finditer(r"\.(?= |$)", text)]
+    ends = [end for end in ends if not text[:end].lower().endswith(ABBREVIATIONS)]
+    return shorten(text[: ends[0]] if ends else text, LONGEST_SENTENCE, placeholder=" ...")

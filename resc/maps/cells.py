@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from resc.process import require_memory
+
 SLACK = 0.01
 """Share of a cell that is no cell of its own: single precision has 14 m as 140.000003 cells."""
 
@@ -26,6 +28,19 @@ def shape_of(size_m: Float[Tensor, "*n 2"], resolution_m: float) -> tuple[int, i
     """Rows and columns of the array that holds any of these maps."""
     columns, rows = cells_of(size_m.reshape(-1, 2), resolution_m).amax(0).tolist()
     return rows, columns
+
+
+def require_room(
+    count: int, size_m: Float[Tensor, "*n 2"], resolution_m: float, device: torch.device | str
+) -> None:
+    """Raises ConfigError if `count` maps do not fit into memory."""
+    rows, columns = shape_of(size_m, resolution_m)
+    require_memory(
+        4.0 * count * rows * columns,
+        f"{count} maps of {rows} x {columns} cells of {resolution_m:g} m (env.resolution_m)",
+        "lay out fewer scenes (pool_size, flights, evaluation_episodes), or take larger cells",
+        device,
+    )
 
 
 def last_cell(

@@ -1,18 +1,21 @@
 """What all observations of the map share: the keys they read and the truncation of distances."""
 
-from typing import Unpack
+from typing import Annotated, Unpack
 
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.maps.constants import INFLATION_M, TRUNCATION_M
+from resc.maps.constants import INFLATION_M, LONGEST_RAY_M, TRUNCATION_M
 from resc.maps.distance_field import DistanceField, select
+from resc.quantities import Within
 from resc.term import Context, Observation, ObservationOptions
 
 MAP_KEYS = (keys.SCENE_INDEX, keys.ESDF, keys.MAP_ORIGIN_W, keys.MAP_SIZE)
 """The last keys that every observation of the map reads; `field` takes their tensors."""
+RayLength = Annotated[float, Within(0, LONGEST_RAY_M, above=True)]
+"""A configured range of rays [m]."""
 
 
 class MapOptions(ObservationOptions, total=False):

@@ -10,12 +10,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from resc.build import build
+from resc.build import build, cell_of
 from resc.errors import ConfigError, PlanningError
 from resc.maps.cells import shape_of
 from resc.planning.control_points import control_points
 from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
-from resc.quantities import NotNegative, Positive, Within
+from resc.quantities import LARGEST, NotNegative, Positive, Within
 from resc.scenes.layout import Layout, rasterize
 
 MAPS_KEPT = 64
@@ -155,13 +155,12 @@ def planner_for(config: Mapping[str, Any]) -> RoutePlanner | None:
     if not config.get("search"):
         return None
     allowed = config.get("allowed_targets", ())
-    resolution = config["env"]["resolution_m"]
     task = (config.get("task") or {}).get("control_points") or {}
     return build(
         config["search"],
         "search",
         allowed=allowed,
-        resolution_m=resolution,
+        resolution_m=cell_of(config),
         arrival_radius_m=_number(task.get("radius_m")) or 0.0,
         arrival_half_height_m=_number(task.get("half_height_m")),
     )
@@ -169,7 +168,9 @@ def planner_for(config: Mapping[str, Any]) -> RoutePlanner | None:
 
 def _number(value: object) -> float | None:
     """A task's number; what is none is told when the task is built."""
-    return float(value) if isinstance(value, int | float) else None
+    if not isinstance(value, int | float) or abs(value) > LARGEST:
+        return None
+    return float(value)
 
 
 def _shown(point: Sequence[float]) -> str:

@@ -11,7 +11,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
-from resc.maps.cells import extent_of, shape_of
+from resc.maps.cells import extent_of, require_room, shape_of
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
 from resc.scenes.difficulty import eased
@@ -66,6 +66,7 @@ class ScenePool:
         self.plan = plan
         self.head = 0
         self.layout = self._lay_out(torch.arange(size))
+        require_room(size, self.layout.size, resolution_m, device)
         self.shape = self._cells(self.layout)
         esdf = self._transform(self.layout)
         self.shared: dict[NestedKey, Tensor] = {

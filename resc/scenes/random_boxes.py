@@ -10,6 +10,9 @@ from resc.math.sampling import uniform
 from resc.quantities import Count, NotNegative, Number, Positive
 from resc.scenes.layout import PARKED_M, Layout
 
+BORDER_M = 1.0
+"""Along the edges of the map, where no box has its corner."""
+
 
 class RandomBoxes:
     """Boxes anywhere on the map, none within `keep_clear_m` of start and goal.
@@ -42,9 +45,16 @@ class RandomBoxes:
     ) -> None:
         if boxes < 1:
             raise ConfigError(f"boxes is {boxes}; expected at least 1.")
-        for name, numbers in (("side_m", side_m), ("size_m", size_m)):
-            if len(numbers) != 2 or min(numbers) <= 0:
-                raise ConfigError(f"{name} is {list(numbers)}; expected two numbers above zero.")
+        if len(side_m) != 2 or not 0 < side_m[0] <= side_m[1]:
+            raise ConfigError(f"side_m is {list(side_m)}; expected [least, greatest], above 0.")
+        if len(size_m) != 2 or not min(size_m) > 2 * BORDER_M:
+            raise ConfigError(
+                f"size_m is {list(size_m)}; expected two numbers above {2 * BORDER_M:g}, for no "
+                f"box begins in the border of {BORDER_M:g} m."
+            )
+        for name, point in (("start_m", start_m), ("goal_m", goal_m)):
+            if len(point) != 3:
+                raise ConfigError(f"{name} is {list(point)}; expected 3 numbers.")
         for name, point in (("start_m", start_m), ("goal_m", goal_m)):
             if not all(-side / 2 <= c < side / 2 for c, side in zip(point, size_m, strict=False)):
                 raise ConfigError(
@@ -63,7 +73,7 @@ class RandomBoxes:
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """Lays out `count` fields."""
         half = self.size_m / 2
-        corner = (uniform((count, self.boxes, 2), -1, 1, generator)) * (half - 1)
+        corner = (uniform((count, self.boxes, 2), -1, 1, generator)) * (half - BORDER_M)
         lengths = uniform((count, self.boxes, 2), *self.side_m, generator=generator)
         boxes = torch.cat((corner, lengths), -1)
         fits = ((corner + lengths) <= half).all(-1)

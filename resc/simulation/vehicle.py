@@ -55,6 +55,7 @@ class Vehicle:
         for name, values in positive.items():
             if min(values) <= 0:
                 raise ConfigError(f"{name} is {min(values)}; expected a number above zero.")
+        _require_lift(thrust_polynomial_n, mass_kg)
         self.mass_kg = float(mass_kg)
         self.inertia_kgm2 = tuple(map(float, inertia_kgm2))
         self.arm_m = (float(arm_x_m), *map(float, arm_y_m))
@@ -85,4 +86,20 @@ class Vehicle:
             return ((thrust - c0) / c1).clamp(0, 1)
         return (((c1 * c1 - 4 * c2 * (c0 - thrust)).clamp(min=0).sqrt() - c1) / (2 * c2)).clamp(
             0, 1
+        )
+
+
+def _require_lift(polynomial_n: Sequence[float], mass_kg: float) -> None:
+    """Rotors must give more with more throttle, and at full throttle more than the weight."""
+    c0, c1, c2 = polynomial_n
+    if min(c1, c1 + 2 * c2) < 0 or c1 == c2 == 0:
+        raise ConfigError(
+            f"thrust_polynomial_n is {list(polynomial_n)}, which falls somewhere between throttle "
+            "0 and 1; expected [c0, c1, c2] with c1 and c1 + 2 c2 zero or more."
+        )
+    full, weight = 4 * (c0 + c1 + c2), mass_kg * GRAVITY_MPS2
+    if full <= weight:
+        raise ConfigError(
+            f"thrust_polynomial_n is {list(polynomial_n)}: four rotors lift {full:.3g} N at full "
+            f"throttle, less than the weight of {weight:.3g} N; check it and mass_kg."
         )

@@ -10,11 +10,11 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.maps.constants import Surface
-from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
+from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions, RayLength
 from resc.maps.ray_casting import fan, rays
 from resc.math.rotation import heading
 from resc.math.sampling import gaussian
-from resc.quantities import Count, NotNegative, Positive, Share
+from resc.quantities import Count, NotNegative, Share
 from resc.term import Context
 
 
@@ -48,7 +48,7 @@ class DepthScan(MapObservation):
         beams: Count = 32,
         field_of_view_rad: float = 1.566,
         nearest_m: NotNegative = 0.2,
-        range_m: Positive = 5.0,
+        range_m: RayLength = 5.0,
         noise_per_m: NotNegative = 0.005,
         dropout: Share = 0.02,
         **options: Unpack[MapOptions],

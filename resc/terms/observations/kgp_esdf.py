@@ -9,9 +9,8 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.maps.constants import CONTROL_POINT_RADIUS_M, FREE_RANGE_M, INFLATION_M
-from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
+from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions, RayLength
 from resc.maps.ray_casting import free_distance, guided
-from resc.quantities import Positive
 
 
 class KgpEsdf(MapObservation):
@@ -47,7 +46,7 @@ class KgpEsdf(MapObservation):
         self,
         *,
         free_distance: str = "velocity",
-        longest_guide_m: Positive = 3.0,
+        longest_guide_m: RayLength = 3.0,
         **options: Unpack[MapOptions],
     ) -> None:
         super().__init__(**options)

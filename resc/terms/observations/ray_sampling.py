@@ -11,9 +11,8 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.maps.constants import FREE_RANGE_M
-from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
+from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions, RayLength
 from resc.maps.ray_casting import fan, rays, toward
-from resc.quantities import Positive
 
 ANGLES_RAD = (1.571, 1.124, 0.730, 0.397, 0.140, 0.0, -0.140, -0.397, -0.730, -1.124, -1.571)
 """+-90 (i / 5)^1.5 degrees: denser around the control point."""
@@ -39,7 +38,7 @@ class RaySampling(MapObservation):
         self,
         *,
         angles_rad: Sequence[float] = ANGLES_RAD,
-        range_m: Positive = FREE_RANGE_M,
+        range_m: RayLength = FREE_RANGE_M,
         **options: Unpack[MapOptions],
     ) -> None:
         super().__init__(**options)

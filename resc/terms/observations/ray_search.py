@@ -10,9 +10,9 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.maps.constants import FREE_RANGE_M, SHORTEST_STEP_M
-from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
+from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions, RayLength
 from resc.maps.ray_casting import fan, rays, toward
-from resc.quantities import Count, Positive
+from resc.quantities import Count
 
 
 class RaySearch(MapObservation):
@@ -52,7 +52,7 @@ class RaySearch(MapObservation):
         *,
         half_cone_rad: float = math.pi / 3,
         rays_per_side: Count = 15,
-        range_m: Positive = FREE_RANGE_M,
+        range_m: RayLength = FREE_RANGE_M,
         **options: Unpack[MapOptions],
     ) -> None:
         super().__init__(**options)

@@ -5,7 +5,8 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.quantities import Number, Positive
+from resc.maps.constants import MapDistance
+from resc.quantities import Number
 from resc.term import Reward
 
 
@@ -17,7 +18,7 @@ class ClearanceMargin(Reward):
 
     reads = (keys.CLEARANCE,)
 
-    def __init__(self, *, weight: Number, margin_m: Positive) -> None:
+    def __init__(self, *, weight: Number, margin_m: MapDistance) -> None:
         super().__init__(weight=weight)
         if margin_m <= 0:
             raise ConfigError(f"margin_m is {margin_m}; expected a number above zero.")

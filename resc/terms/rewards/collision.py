@@ -5,7 +5,8 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.quantities import Number, Positive
+from resc.maps.constants import MapDistance
+from resc.quantities import Number
 from resc.term import Reward
 
 
@@ -18,7 +19,12 @@ class Collision(Reward):
 
     reads = (keys.CLEARANCE,)
 
-    def __init__(self, *, weight: Number, radius_m: Positive = 0.3) -> None:
+    def __init__(
+        self,
+        *,
+        weight: Number,
+        radius_m: MapDistance = 0.3,
+    ) -> None:
         super().__init__(weight=weight)
         if radius_m <= 0:
             raise ConfigError(f"radius_m is {radius_m}; expected a number above zero.")

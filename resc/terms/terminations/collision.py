@@ -5,7 +5,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.quantities import Positive
+from resc.maps.constants import MapDistance
 from resc.term import Termination
 
 
@@ -14,7 +14,7 @@ class Collision(Termination):
 
     reads = (keys.CLEARANCE,)
 
-    def __init__(self, *, radius_m: Positive = 0.3) -> None:
+    def __init__(self, *, radius_m: MapDistance = 0.3) -> None:
         super().__init__()
         if radius_m <= 0:
             raise ConfigError(f"radius_m is {radius_m}; expected a number above zero.")

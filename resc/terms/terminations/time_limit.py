@@ -24,6 +24,11 @@ class TimeLimit(Termination):
     def bind(self, context: Context) -> None:
         """Takes the control period."""
         self.steps = round(self.limit_s / context.dt_s)
+        if self.steps < 1:
+            raise ConfigError(
+                f"limit_s is {self.limit_s}, less than one control step; expected at least "
+                f"{context.dt_s} (env.dt_s)."
+            )
 
     def compute(self, clock: Float[Tensor, "n 1"]) -> Bool[Tensor, "n 1"]:
         return clock >= self.steps
