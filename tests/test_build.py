@@ -175,9 +175,7 @@ def test_a_class_that_raises_is_named_with_the_reason(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("value", [10**400, 10**30, 1e30], ids=["400", "30", "float"])
 def test_a_number_beyond_belief_is_refused_with_its_beginning(value):
-    refused(
-        {**PROGRESS, "speed_mps": value}, r"speed_mps is -?1.*; expected a number"
-    )
+    refused({**PROGRESS, "speed_mps": value}, r"speed_mps is -?1.*; expected a number")
 
 
 @pytest.mark.parametrize("group", [3, "progress", ["progress"]])

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.quantities import Positive, Share
+from resc.quantities import NotNegative, Positive, Share
 from resc.term import Context, Term
 
 
@@ -25,7 +25,7 @@ class RateLoop(Term):
     writes = (keys.ROTOR_COMMAND,)
     gains: Tensor
 
-    def __init__(self, *, gains: Sequence[Positive]) -> None:
+    def __init__(self, *, gains: Sequence[NotNegative]) -> None:
         super().__init__()
         if len(gains) != 3:
             raise ConfigError(f"gains is {list(gains)}; expected 3 numbers: roll, pitch, yaw.")
@@ -52,7 +52,7 @@ class NormalizedRateLoop(RateLoop):
     def __init__(
         self,
         *,
-        gains: Sequence[Positive],
+        gains: Sequence[NotNegative],
         throttle_range: Sequence[Share],
         torque_ratio: Positive | None = None,
     ) -> None:

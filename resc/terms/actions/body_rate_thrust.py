@@ -1,6 +1,7 @@
 """Collective thrust and body rates: the published action."""
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
@@ -8,8 +9,11 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.quantities import CountOrNone, NotNegative, Positive
+from resc.quantities import CountOrNone, NotNegative, Positive, Within
 from resc.term import Action, Context
+
+FASTEST_RADPS = 100.0
+"""No quadrotor turns faster; a greater limit is degrees by mistake."""
 
 
 class BodyRateThrust(Action):
@@ -35,7 +39,7 @@ class BodyRateThrust(Action):
     def __init__(
         self,
         *,
-        rate_limit_radps: Sequence[Positive],
+        rate_limit_radps: Sequence[Annotated[float, Within(0, FASTEST_RADPS, above=True)]],
         thrust_range_g: Sequence[NotNegative],
         gravity_mps2: Positive = 9.7946,
         longest_delay_steps: CountOrNone = 3,

@@ -9,7 +9,7 @@ from torch import Tensor
 from resc import keys
 from resc.math.geometry import distance, norm
 from resc.math.smoothness import jerk_energy
-from resc.quantities import NotNegative
+from resc.quantities import Positive
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import Context, Metric
 
@@ -167,7 +167,7 @@ class TimeWithin(Metric):
     start = torch.inf
     freezes_at_finish: ClassVar[bool] = False
 
-    def __init__(self, *, radius_m: NotNegative) -> None:
+    def __init__(self, *, radius_m: Positive) -> None:
         super().__init__()
         self.radius_m = radius_m
 
