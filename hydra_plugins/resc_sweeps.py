@@ -45,7 +45,7 @@ class SweepLauncher(Launcher):
         """
         del task_function
         self.config, self.loader = config, hydra_context.config_loader
-        _refuse_what_runs_cannot_follow(config)
+        refuse_what_runs_cannot_follow(config)
         self.backend: Backend = build(
             self.wanted or {}, "hydra.launcher.backend", allowed=config["allowed_targets"]
         )
@@ -58,8 +58,6 @@ class SweepLauncher(Launcher):
     def job(self, number: int, overrides: Sequence[str]) -> Job:
         """The job of these overrides, with all that its process inherits."""
         own = tuple(text for text in overrides if not says_how(text))
-        if resumed := [text for text in own if key_of(text) == "resume"]:
-            raise ConfigError(f"{resumed[0]} goes on with one run; leave out -m.")
         composed = self.loader.load_sweep_config(self.config, list(overrides))
         config = plain(composed)
         environment = {str(name): str(value) for name, value in composed.hydra.job.env_set.items()}
@@ -110,7 +108,12 @@ def require_different(jobs: Sequence[Job]) -> None:
                 )
 
 
-def _refuse_what_runs_cannot_follow(config: DictConfig) -> None:
+def refuse_what_runs_cannot_follow(config: DictConfig) -> None:
+    """Refuses settings of Hydra's that a sweep whose runs are processes has no use for.
+
+    Raises:
+        ConfigError: It names the setting, and the one to use.
+    """
     raw = OmegaConf.to_container(config.hydra.sweep)
     if not isinstance(raw, dict) or raw["subdir"] != SUBDIR:
         raise ConfigError("hydra.sweep.subdir is set, but runs are named by number; leave it out.")

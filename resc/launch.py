@@ -118,6 +118,8 @@ def in_its_folder(arguments: list[str]) -> list[str]:
             f"resume is '{text}', which holds no run and no sweep; give the folder of an "
             "interrupted one."
         )
+    if not (is_sweep(folder) or set(arguments).isdisjoint(MULTIRUN)):
+        raise ConfigError(f"resume is '{text}', which is one run; leave out -m.")
     if any(text.startswith("hydra.run.dir=") for text in arguments):
         return arguments
     rest = [text for text in arguments if text not in chosen]

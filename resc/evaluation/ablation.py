@@ -37,6 +37,8 @@ def main() -> None:
         report = write_report(arguments.sweep, arguments.baseline)
     except RescError as error:
         sys.exit(f"error: {error}")
+    except OSError as error:
+        sys.exit(f"error: {error.filename} cannot be written or read ({error.strerror}).")
     print(report.read_text())
     print(f"Report: {report}")
 

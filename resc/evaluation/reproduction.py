@@ -50,7 +50,7 @@ def compare(folder: Path, stored: Mapping[str, Any]) -> tuple[bool, str]:
         rate, frames = float(summary["success_rate"]), int(summary["frames"])
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist; give the folder of a finished run.") from None
-    except (json.JSONDecodeError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError):
         raise ConfigError(f"{path} is no summary of a finished training run.") from None
     if frames != stored["frames"]:
         raise ConfigError(

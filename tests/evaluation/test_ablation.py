@@ -1,6 +1,8 @@
 """The report of a sweep: numbers by hand, the same twice, one sentence for bad input."""
 
+import contextlib
 import csv
+import json
 import sys
 
 import numpy as np
@@ -10,7 +12,7 @@ from made_up_sweep import make_run
 from resc.errors import ConfigError
 from resc.evaluation.ablation import main, write_report
 from resc.evaluation.ablation_analysis import analyse
-from resc.evaluation.study import differing, read_sweep, variant_names
+from resc.evaluation.study import differing, read_sweep, short_keys, variant_names
 
 GOOD, POOR = [1, 1, 1, 1], [1, 1, 0, 0]
 
@@ -108,6 +110,101 @@ def test_variants_are_named_by_what_differs_beside_the_seed():
     assert variant_names([["seed=0"], ["seed=1"]]) == ["default", "default"]
     two = [["seed=0", "m.hidden=[8,8]", "m.act=tanh"], ["seed=0", "m.hidden=[4]", "m.act=elu"]]
     assert variant_names(two) == ["hidden=[8,8] act=tanh", "hidden=[4] act=elu"]
+
+
+def test_numbers_are_named_with_the_term_that_they_belong_to():
+    delay, weight = "randomization.action_delay.longest_steps", "reward.progress.weight"
+    assert variant_names([[f"{delay}=1", f"{weight}=2.0"], [f"{delay}=2", f"{weight}=2.0"]]) == [
+        "action_delay.longest_steps=1",
+        "action_delay.longest_steps=2",
+    ]
+    runs = [[f"{delay}=1", f"{weight}=1.0"], [f"{delay}=1", f"{weight}=2.0"], [f"{delay}=2"]]
+    assert variant_names(runs)[1] == "action_delay.longest_steps=1 progress.weight=2.0"
+    assert variant_names([["env.history=1"], ["env.history=2"]]) == ["history=1", "history=2"]
+    assert variant_names([["+x=1", "++seed=0"], ["+x=1", "++seed=1"]]) == ["default", "default"]
+
+
+def test_keys_are_as_short_as_tells_them_apart():
+    same = ["a.noise", "b.noise", "observation.velocity.noise", "sensor.velocity.noise", "seed"]
+    assert list(short_keys(same).values()) == [
+        "a.noise",
+        "b.noise",
+        "observation.velocity.noise",
+        "sensor.velocity.noise",
+        "seed",
+    ]
+
+
+def test_one_seed_that_was_run_twice_is_refused(sweep, monkeypatch):
+    make_run(sweep / "4", "+experiment=x", "seed=00", "obstacle_observation=none", success=GOOD)
+    told = refusal(sweep, monkeypatch)
+    assert f"Runs 1 and 4 of {sweep} are both seed 0 of none, which counts one run twice" in told
+
+
+def test_runs_of_one_variant_with_unequal_budgets_are_refused(sweep, monkeypatch):
+    own = ("+experiment=x", "seed=7", "obstacle_observation=none")
+    make_run(sweep / "4", *own, success=GOOD, total_frames=99)
+    told = refusal(sweep, monkeypatch)
+    assert "both none, were trained with total_frames None and 99" in told
+
+
+def test_variants_with_unequal_budgets_are_told_in_the_report(sweep):
+    own = ("+experiment=x", "seed=7", "obstacle_observation=rays")
+    make_run(sweep / "4", *own, success=GOOD, total_frames=99)
+    told = write_report(sweep).read_text()
+    assert "**The variants were trained for different lengths** [environment steps]: " in told
+    assert "none None, rays 99" in told
+
+
+def test_run_that_is_no_longer_what_it_was_begun_as_is_refused(sweep, monkeypatch):
+    begun = {"overrides": ["seed=0"], "config": {"total_frames": 5}}
+    (sweep / "2" / "job.json").write_text(json.dumps(begun))
+    assert "2/config.yaml says total_frames: nothing, but its sweep" in refusal(sweep, monkeypatch)
+
+
+NAMES = ("job.json", "summary.json", "evaluation.csv", "progress.csv", "config.yaml", "origin.json")
+CONTENTS = [
+    b"",
+    b"trash",
+    b"\xff\xfe\x00",
+    b"[]",
+    b"{}",
+    b"null",
+    b"1",
+    b"a: [",
+    b"a,b\n1\n",
+    b"held_out: 1",
+    b"env: 2",
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_damaged_folder_of_a_sweep_ends_in_one_sentence_or_none(sweep, name):
+    path = sweep / name if name == "origin.json" else sweep / "2" / name
+    for content in CONTENTS:
+        path.write_bytes(content)
+        with contextlib.suppress(ConfigError):
+            analyse(read_sweep(sweep))
+    path.unlink()
+    with contextlib.suppress(ConfigError):
+        analyse(read_sweep(sweep))
+    path.mkdir()
+    with contextlib.suppress(ConfigError):
+        analyse(read_sweep(sweep))
+
+
+@pytest.mark.parametrize(
+    "summary",
+    [{"success_rate": "high", "episodes": 4}, {"success_rate": 0.5}, {"success_rate": None}],
+)
+def test_summary_with_impossible_entries_is_named(sweep, monkeypatch, summary):
+    (sweep / "2" / "summary.json").write_text(json.dumps(summary))
+    assert "summary.json is cut or damaged" in refusal(sweep, monkeypatch)
+
+
+def test_report_that_cannot_be_written_is_told(sweep, monkeypatch):
+    (sweep / "report").write_text("mine")
+    assert f"{sweep}/report cannot be written" in refusal(sweep, monkeypatch)
 
 
 def test_lists_are_named_by_their_difference_from_the_first():
