@@ -44,9 +44,16 @@ def tabulate_episodes(flights: Flights, pool: ScenePool) -> Episodes:
 
 
 def held_out_rules(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The configuration that held-out episodes are flown with: groups of `held_out` come first."""
+    """The configuration that held-out episodes are flown with: groups of `held_out` come first.
+
+    Raises:
+        ConfigError: `held_out` holds no groups.
+    """
     rules = {str(key): value for key, value in config.items()}
-    return rules | {str(key): value for key, value in rules.get("held_out", {}).items()}
+    own = rules.get("held_out") or {}
+    if not isinstance(own, Mapping):
+        raise ConfigError(f"held_out is {own!r}; expected groups of a configuration.")
+    return rules | {str(key): value for key, value in own.items()}
 
 
 def density_near_route(pool: ScenePool) -> Float[Tensor, " p"]:
