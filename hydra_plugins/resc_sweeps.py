@@ -83,6 +83,10 @@ class SweepLauncher(Launcher):
     ) -> Sequence[JobReturn]:
         """Runs the jobs; raises SweepError at the end unless all are finished."""
         jobs = [self.job(n, own) for n, own in enumerate(job_overrides, initial_job_idx)]
+        if not jobs:
+            raise ConfigError(
+                "The overrides name no run at all; give a range that holds something."
+            )
         require_different(jobs)
         print(f"{len(jobs)} runs go to {self.folder}", flush=True)
         outcomes = self.run(jobs)
@@ -122,6 +126,8 @@ def refuse_what_runs_cannot_follow(config: DictConfig) -> None:
             "hydra.sweeper.max_batch_size is set, but the launcher says how many runs go at a "
             "time; use launcher=joblib hydra.launcher.backend.n_jobs=..."
         )
+    if "hydra.mode=RUN" in config.hydra.overrides.hydra:
+        raise ConfigError("hydra.mode=RUN is of a single run; leave out it or -m.")
     if given := [text for text in config.hydra.overrides.hydra if key_of(text) == "hydra.run.dir"]:
         raise ConfigError(f"{given[0]} is of a single run; with -m, set hydra.sweep.dir.")
 

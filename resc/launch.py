@@ -57,9 +57,9 @@ def launch(main: Callable[[], None], config_name: str) -> None:
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(_own_words(error) or explain(error, config_name)) from None
         except ValueError as error:
-            if not str(error).startswith("Only one of --run"):
+            if not str(error).startswith(("Only one of --run", "The --resolve flag")):
                 raise
-            raise ConfigError(f"{error}; leave out all but one.") from None
+            raise ConfigError(f"{error}; leave out what does not belong.") from None
 
 
 def _refuse_rerun(arguments: Sequence[str]) -> None:

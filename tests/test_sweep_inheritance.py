@@ -135,6 +135,7 @@ def test_folder_does_not_permit_foreign_targets_for_those_who_go_on(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
+        (("seed=range(0,0)",), "The overrides name no run at all"),
         (("seed=0,00",), "Jobs 0 and 1 are the same run ('seed=0' and 'seed=00')"),
         (("launcher=joblib", "hydra.launcher.backend.n_jobs=0"), "n_jobs is 0; expected 1 or more"),
     ],
@@ -161,6 +162,7 @@ def test_jobs_that_are_one_run_are_refused_however_they_are_written(tmp_path):
     [
         ({"sweep": {"subdir": "x"}}, r"hydra\.sweep\.subdir is set"),
         ({"sweeper": {"max_batch_size": 1}}, r"hydra\.sweeper\.max_batch_size is set"),
+        ({"overrides": {"hydra": ["hydra.mode=RUN"]}}, r"hydra\.mode=RUN is of a single run"),
         ({"overrides": {"hydra": ["hydra.run.dir=x"]}}, r"hydra\.run\.dir=x is of a single run"),
     ],
 )
