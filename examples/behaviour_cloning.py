@@ -8,10 +8,15 @@ The recording may be any of RESC's; its successful episodes are learned from. Ob
 by flying them again, so the student may see something else than the teacher did:
 
 python examples/behaviour_cloning.py runs/teacher/rollouts obstacle_observation=ray_guiding
+
+A recording whose configuration names parts of your own package is flown only if you allow it:
+
+python examples/behaviour_cloning.py runs/teacher/rollouts --allow mypackage.
 """
 
 import argparse
 import sys
+import tempfile
 from pathlib import Path
 
 import torch
@@ -22,34 +27,46 @@ from tqdm import trange
 
 from resc import schema
 from resc.build import build, build_stages
-from resc.errors import RescError
+from resc.errors import RecordingError, RescError
 from resc.evaluation.replay import recorded_config
 from resc.launch import CONF, explain
 from resc.learning.assemble import fly_held_out
-from resc.learning.checkpoint import save_policy
+from resc.learning.checkpoint import POLICY, save_policy
 from resc.learning.offline import replay_buffer
+from resc.process import prepare_process
 from resc.recording import RolloutLog
+from resc.settings import check_settings
 
 SEES = ("env", "observation")
 """Groups of the configuration that say what the student sees."""
 
 
 def main() -> None:
-    """Reads the command line; a wrong one ends with a sentence and status 1."""
+    """Reads the command line; a wrong one ends with a sentence and status 1 or 2."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("recording", help="an .mcap file, a folder or a pattern")
     parser.add_argument("overrides", nargs="*", help="of conf/train.yaml: what the student sees")
-    parser.add_argument("--episodes", type=int, default=500, help="how many to learn from")
-    parser.add_argument("--updates", type=int, default=5000, help="gradient steps")
-    parser.add_argument("--batch", type=int, default=1024, help="transitions per gradient step")
+    parser.add_argument("--episodes", type=_count, default=500, help="how many to learn from")
+    parser.add_argument("--updates", type=_count, default=5000, help="gradient steps")
+    parser.add_argument("--batch", type=_count, default=1024, help="transitions per gradient step")
     parser.add_argument(
         "--out", type=Path, default=Path("runs/cloned"), help="where the policy goes"
+    )
+    parser.add_argument(
+        "--allow",
+        action="append",
+        default=[],
+        metavar="PREFIX",
+        help="prefix of your own package that the recorded configuration may name, such as "
+        "mypackage.; the same as allowed_targets=[mypackage.]",
     )
     args = parser.parse_intermixed_args()
     schema.register()
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             config = compose("train", ["compile=false", *args.overrides])
+        config["allowed_targets"] = [*config["allowed_targets"], *args.allow]
+        check_settings(config, schema.TrainSchema)
         clone(args, config)
     except HydraException as error:
         sys.exit(f"error: {explain(error, 'train')}")
@@ -59,21 +76,29 @@ def main() -> None:
 
 def clone(args: argparse.Namespace, config: DictConfig) -> None:
     """Learns the recorded actions, saves the policy and flies held-out episodes."""
-    torch.set_num_threads(config["threads"])
+    prepare_process(config["threads"], config["device"])
+    allowed = config["allowed_targets"]
     flights = RolloutLog(args.recording).where(success=True, complete=True)
     flights = flights.take(range(min(args.episodes, len(flights))))
-    recorded = recorded_config(flights, config["allowed_targets"])
-    sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
-    buffer = replay_buffer(flights, batch_size=args.batch, config={**recorded, **sees})
     stages = build_stages(config)
     networks = build(
         config["model"],
         "model",
+        allowed=allowed,
         observation_width=len(stages.observation_columns),
         action_width=stages.terms.action.width,
         seed=config["seed"],
     )
     networks.to(config["device"])
+    prepare_output(args.out)
+    recorded = recorded_config(flights, allowed)
+    sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
+    buffer = replay_buffer(flights, batch_size=args.batch, config={**recorded, **sees})
+    if args.batch > len(buffer):
+        raise RecordingError(
+            f"--batch is {args.batch:,}, more than the {len(buffer):,} transitions recorded; "
+            "lower it, or record more flights."
+        )
     optimizer = torch.optim.Adam(networks.head.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
     for _ in (bar := trange(args.updates, unit="update")):
@@ -91,6 +116,32 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
         f"{held_out.success_rate:.1%} of {len(held_out)} held-out episodes succeed after cloning "
         f"{len(flights)} episodes ({len(buffer)} transitions). Policy: {args.out}"
     )
+
+
+def prepare_output(folder: Path) -> None:
+    """Makes the folder of the policy, before any work is spent.
+
+    Raises:
+        RecordingError: It holds a policy already, or cannot be written to.
+    """
+    try:
+        if (folder / POLICY).exists():
+            raise RecordingError(f"{folder} holds a policy; give another folder with --out.")
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise RecordingError(
+            f"{folder} cannot be written to: {error.strerror}. Give another folder with --out."
+        ) from error
+
+
+def _count(text: str) -> int:
+    """A number of things, for argparse."""
+    count = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else 0
+    if count < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 1 to 999,999,999")
+    return count
 
 
 if __name__ == "__main__":

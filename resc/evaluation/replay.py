@@ -156,6 +156,7 @@ def recorded_config(log: RolloutLog | Selection, allowed: Sequence[str] = ()) ->
     stored = log.config
     require_groups(stored, GROUPS)
     config = cast(dict[str, Any], OmegaConf.to_container(stored, resolve=True))
+    config["device"] = str(config["device"])  # whatever it is, torch says what it may be
     config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader
     if config["device"].startswith("cuda") and not torch.cuda.is_available():
         config["device"] = "cpu"

@@ -1,6 +1,8 @@
 """The configuration stored with a recording: a mapping, with the groups that a reader needs."""
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from omegaconf import Container, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -41,3 +43,44 @@ def require_groups(config: Container, wanted: Iterable[str]) -> None:
                 f"The recording's attachment 'config.yaml' names no '{name}', so it is not that of "
                 "a run; take the files that RESC wrote."
             )
+
+
+def nodes_in(
+    config: Any,  # noqa: ANN401
+    name: str,
+    needed: Iterable[str] = (),
+) -> dict[str, Mapping[str, Any]]:
+    """The parts of a group in a recorded configuration, by name; those set to null are left out.
+
+    Raises:
+        RecordingError: One of them is no mapping with a `_target_`, or one that is needed is not
+            there.
+    """
+    group = OmegaConf.to_container(config[name]) if isinstance(config, Container) else config[name]
+    found = {} if group is None else {name: group}
+    if isinstance(group, Mapping):
+        found = {str(key): node for key, node in group.items() if node is not None}
+    for key, node in (dict.fromkeys(needed) | found).items():
+        if not isinstance(node, Mapping) or not isinstance(node.get("_target_"), str):
+            raise RecordingError(
+                f"The recorded configuration says {name}.{key} = {node!r}; expected a part with a "
+                "_target_. Take the files that RESC wrote."
+            )
+    return found
+
+
+def numbers_at(config: Any, path: str, count: int) -> list[float]:  # noqa: ANN401
+    """So many finite numbers of a recorded configuration.
+
+    Raises:
+        RecordingError: There is something else.
+    """
+    found = OmegaConf.select(config, path)
+    values = list(found) if isinstance(found, Sequence) and not isinstance(found, str) else [found]
+    numbers = [v for v in values if isinstance(v, int | float) and math.isfinite(v)]
+    if len(values) != count or len(numbers) != count:
+        raise RecordingError(
+            f"The recorded configuration says {path} = {found!r}; expected {count} number(s). Take "
+            "the files that RESC wrote."
+        )
+    return [float(number) for number in numbers]

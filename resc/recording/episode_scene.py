@@ -21,7 +21,7 @@ from resc.maps.distance_transform import distance_transform
 from resc.maps.observation import MapObservation
 from resc.math.rotation import heading
 from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
-from resc.recording.configuration import require_groups
+from resc.recording.configuration import nodes_in, numbers_at, require_groups
 from resc.recording.reader import RolloutLog
 from resc.recording.sight import Pose, Shape, shapes
 from resc.scenes.layout import PARKED_M, rasterize
@@ -122,13 +122,14 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
     require_columns(steps, NEEDED, "a scene")
     stored = log.config
     require_groups(stored, GROUPS)
+    nodes_in(stored, "task", ("control_points",))
+    (resolution,) = numbers_at(stored, "env.resolution_m", 1)
     facts = _facts(log, episode)
     config = cast(dict[str, Any], OmegaConf.to_container(stored))
     vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
-    env = config["env"]
     context = Context(
-        dt_s=log.dt_s, resolution_m=env["resolution_m"], vehicle=vehicle,
-        observation_frame=env.get("observation_frame", "world"),
+        dt_s=log.dt_s, resolution_m=resolution, vehicle=vehicle,
+        observation_frame=config["env"].get("observation_frame", "world"),
     )  # fmt: skip
     place = _place(log.scene(episode), config)
     passed = _passed(steps, place, config, allowed)
@@ -224,8 +225,8 @@ def _sights(
     """What each observation of the map sees; those of other packages have no drawing."""
     nodes = {
         name: node
-        for name, node in config["observation"].items()
-        if node is not None and node["_target_"].startswith("resc.")
+        for name, node in nodes_in(config, "observation").items()
+        if node["_target_"].startswith("resc.")
     }
     count, last = len(passed), len(place.route) - 1
     ahead = torch.stack((passed, passed + 1), -1).clamp(max=last)

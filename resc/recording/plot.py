@@ -13,12 +13,10 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Patch, Rectangle
-from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 
 from resc import keys
-from resc.errors import RecordingError
 from resc.evaluation.colours import (
     BACKGROUND,
     COLLISION,
@@ -31,6 +29,7 @@ from resc.evaluation.colours import (
 )
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
+from resc.recording.configuration import nodes_in, numbers_at
 from resc.recording.output import replacing
 from resc.recording.reader import RolloutLog
 
@@ -98,23 +97,22 @@ def rate_command(log: RolloutLog, episode: int, steps: TensorDict) -> Float[np.n
     Raises:
         RecordingError: The stored configuration has no rate limits, or no start is recorded.
     """
-    limit = OmegaConf.select(log.config, f"action.{_RATE_LIMIT}")
-    if limit is None:
-        raise RecordingError(
-            f"The stored config.yaml has no action.{_RATE_LIMIT}; the commanded rates are unknown."
-        )
+    limit = numbers_at(log.config, f"action.{_RATE_LIMIT}", 3)
     start = log.start(episode)
     waiting = _tensor(start, keys.ACTION_QUEUE)
     delay = min(int(_tensor(start, keys.ACTION_DELAY)), len(waiting) - 1)
     actions = torch.cat((waiting[:delay].flip(0), _tensor(steps, keys.ACTION)))[: len(steps)]
-    return (actions[:, :3].clamp(-1, 1) * torch.tensor(list(limit))).numpy()
+    return (actions[:, :3].clamp(-1, 1) * torch.tensor(limit)).numpy()
 
 
 def inflation_m(log: RolloutLog) -> float:
     """How close to an obstacle [m] a flight of this configuration ends as a collision."""
-    terms = OmegaConf.select(log.config, "termination") or {}
-    radii = [t.get("radius_m", 0.0) for t in terms.values() if t and t["_target_"] in _COLLISIONS]
-    return max(radii, default=0.0)
+    terms = nodes_in(log.config, "termination") if "termination" in log.config else {}
+    ending = [name for name, term in terms.items() if term["_target_"] in _COLLISIONS]
+    return max(
+        (numbers_at(log.config, f"termination.{name}.radius_m", 1)[0] for name in ending),
+        default=0.0,
+    )
 
 
 def _tensor(values: TensorDict, key: keys.NestedKey) -> Tensor:

@@ -286,3 +286,34 @@ def test_schema_of_a_recording_names_its_reward_terms(run, call):
     code, out, _ = call("schema", run)
     assert code == 0
     assert "| `reward_terms.progress`, `reward_terms.time` | repeated float | - |" in out
+
+
+def test_the_picture_shows_where_a_flight_counts_as_a_collision(street, tmp_path):
+    from resc.recording.plot import _draw_obstacles, inflation_m
+
+    assert inflation_m(street) == 0.3
+    axes = Figure().add_subplot()
+    _draw_obstacles(axes, [[3.0, 0.5, 0.4, 1.0], [0.0, 0.0, 0.0, 0.0]], 0.3)
+    (inflated,) = [p for p in axes.patches if p.get_boxstyle().pad == 0.3]
+    shape = inflated.get_path().get_extents()
+    assert (shape.x0, shape.y0, shape.x1, shape.y1) == pytest.approx((2.7, 0.2, 3.7, 1.8))
+    assert "0.3 m" in axes.get_legend().get_texts()[0].get_text()
+
+
+def test_a_crash_in_the_last_step_does_not_flatten_the_other_rewards():
+    from resc.recording.plot import _set_range
+
+    axes = Figure().add_subplot()
+    time = [0.0, 0.1, 0.2, 0.3]
+    axes.plot(time, [0.0, 1.0, 2.0, 3.0], label="progress 3.00")
+    axes.plot(time, [0.0, -0.5, -1.0, -1001.0], label="crash -1001.00")
+    _set_range(axes, 0.3)
+    low, high = axes.get_ylim()
+    assert -2 < low < -1
+    assert 2 < high < 4
+    assert axes.get_lines()[-1].get_marker() == "v"
+    calm = Figure().add_subplot()
+    calm.plot(time, [0.0, 1.0, 2.0, 3.0], label="progress 3.00")
+    before = calm.get_ylim()
+    _set_range(calm, 0.3)
+    assert calm.get_ylim() == before

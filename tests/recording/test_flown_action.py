@@ -1,8 +1,5 @@
 """What is recorded of an action: what was flown, in [-1, 1], and the sample for replays."""
 
-import json
-from pathlib import Path
-
 import pytest
 import torch
 from mcap.reader import make_reader
@@ -146,9 +143,3 @@ def test_replays_and_datasets_without_the_sample_are_refused(tmp_path):
 def test_commanded_rates_in_pictures_are_within_the_limits(tmp_path):
     log = RolloutLog(record(tmp_path))
     assert abs(rate_command(log, 3, log.episode(3))[:, 0]).max() <= 2.0
-
-
-def test_what_the_format_says_of_both_is_in_the_documentation():
-    page = (Path(__file__).parents[2] / "docs" / "recording.md").read_text()
-    assert "`sampled_action.p`" in page
-    assert json.dumps(SAMPLED_ACTION.key[0]).strip('"') in page

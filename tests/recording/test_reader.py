@@ -2,6 +2,8 @@
 
 import random
 import re
+import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -396,3 +398,57 @@ def test_a_run_is_read_once_whatever_names_it_has(tmp_path):
     copy.write_bytes((tmp_path / "a" / "rollouts" / "rollouts_00000.mcap").read_bytes())
     with pytest.raises(RecordingError, match="hold the same steps; leave one of them out"):
         RolloutLog(str(tmp_path / "*"))
+
+
+def test_a_log_says_what_it_holds(tmp_path):
+    whole = rollout(60, 8)
+    with recorder(tmp_path, 8, rotate_mb=0.002) as target:
+        put_all(target, whole, 15)
+    assert repr(RolloutLog(tmp_path)) == (
+        f"RolloutLog('{tmp_path}/rollouts_00000.mcap' and 3 more file(s): 60 steps of 8 "
+        f"environments in 4 batches, {int(whole['done'].sum())} episodes)"
+    )
+    path = tmp_path / "rollouts_00003.mcap"
+    path.write_bytes(path.read_bytes()[:-50])
+    assert repr(RolloutLog(path)).endswith("cut or being written)")
+
+
+@pytest.mark.parametrize("number", [-1, -7, 10**30, True, 0.5, "0"])
+def test_a_number_that_counts_nothing_is_refused(number, tmp_path):
+    with recorder(tmp_path, 4) as target:
+        put_all(target, rollout(60, 4), 15)
+    log = RolloutLog(tmp_path)
+    assert len(log) > 3
+    for read in (log.episode, log.start, log.scene, log.batch, log.env):
+        with pytest.raises(RecordingError, match=rf"There is no \w+ {number}; .* counted from 0"):
+            read(number)
+    with pytest.raises(RecordingError, match="counted from 0"):
+        log.starts([0, number])
+
+
+def test_looking_at_a_recording_imports_no_torch(tmp_path):
+    with recorder(tmp_path / "run", 4) as target:
+        put_all(target, rollout(60, 4), 15)
+    script = """
+import sys
+from resc.recording.commands import main
+path = sys.argv[1]
+file = path + "/run/rollouts_00000.mcap"
+for command in (["info"], ["episodes", "--where", "length > 3"], ["check"], ["merge"]):
+    rest = ["--out", path + "/m.mcap"] if command == ["merge"] else []
+    try:
+        main([command[0], path + "/run", *command[1:], *rest])
+    except SystemExit as ended:
+        assert not ended.code, ended.code
+try:
+    main(["recover", file, "--out", path + "/r.mcap"])
+except SystemExit as ended:
+    assert not ended.code
+heavy = {"torch", "tensordict", "hydra", "matplotlib", "foxglove", "numba", "scipy"}
+assert not heavy & set(sys.modules), heavy & set(sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path)],
+        capture_output=True, text=True, timeout=60, check=False, cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr

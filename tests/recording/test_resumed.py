@@ -8,10 +8,19 @@ import torch
 from small_run import COLUMNS, ENDS, ENVS, EPISODES, STEPS, episodes, record, rollout
 
 from resc import keys
+from resc.evaluation.replay import fly_again
+from resc.learning import training
+from resc.learning.assemble import build_trainer
+from resc.learning.checkpoint import load_checkpoint, save_checkpoint
+from resc.learning.offline import transitions
+from resc.learning.progress import CsvLogger, ProgressTable
+from resc.learning.training import record_batch
 from resc.recording import RolloutLog
 from resc.recording.check import check
 from resc.recording.commands import main
+from resc.recording.episode_scene import load_scene
 from resc.recording.rewrite import merge, recover
+from resc.recording.rollouts import open_recorder, record_world
 from resc.recording.source import open_source
 
 TOTAL = len(EPISODES)
@@ -210,3 +219,66 @@ def test_runs_in_other_folders_or_renamed_by_hand_supersede_nothing(tmp_path, as
         as_format_3(path)
         path.rename(tmp_path / f"rollouts_{name}.mcap")
     assert RolloutLog(tmp_path).start_steps == [0, 10, 0, 10]
+
+
+RUN = (
+    "num_envs=4", "pool_size=10", "renew_scenes=1", "obstacle_observation=none",
+    "algorithm.steps=32", "algorithm.minibatch=64", "model.hidden=[16]", "recorder=mcap",
+)  # fmt: skip
+
+
+def fly(trainer, config, folder, batches):
+    """Trains some batches more, and records them."""
+    with open_recorder(
+        config, trainer.env.stages, directory=folder, outcomes=trainer.statistics.outcomes,
+        num_envs=4,
+    ) as recorder:  # fmt: skip
+        record_world(recorder, trainer.env.pool, trainer.iteration * trainer.settings.steps)
+        trainer.keep_starts()
+        for _ in range(batches):
+            trainer.iterate()
+            record_batch(trainer, recorder)
+
+
+def test_a_training_resumed_from_its_checkpoint_is_read_as_if_never_interrupted(compose, tmp_path):
+    config = compose(*RUN)
+    straight, first, second = (build_trainer(config) for _ in range(3))
+    fly(straight, config, tmp_path / "straight", 6)
+    fly(first, config, tmp_path / "run", 3)
+    save_checkpoint(tmp_path / "checkpoint.pt", first)
+    fly(first, config, tmp_path / "run", 2)
+    killed(tmp_path / "run", 1)
+    load_checkpoint(tmp_path / "checkpoint.pt", second)
+    fly(second, config, tmp_path / "run", 3)
+    log, expected = RolloutLog(tmp_path / "run"), RolloutLog(tmp_path / "straight")
+    assert log.start_steps == expected.start_steps
+    assert (log.to_tensordict() == expected.to_tensordict()).all()
+    apart = ("file",)
+    assert log.episodes.drop(apart).equals(expected.episodes.drop(apart))
+    assert log.episodes["complete"].all()
+    over = log.where(pl.col("start_step") < 96, pl.col("end_step") >= 96)
+    assert len(over) > 0
+    seam = over.episodes["index"][0]
+    assert fly_again(f"{tmp_path / 'run'}#{seam}").largest == 0
+    assert transitions(over)["action"].shape == (sum(over.episodes["length"]), 4)
+    assert load_scene(log, seam).facts["index"] == str(seam)
+    assert [fault for fault in check(tmp_path / "run").faults if "not complete" not in fault] == []
+
+
+def test_what_was_flown_before_a_checkpoint_is_on_the_disk_with_it(compose, tmp_path, monkeypatch):
+    config = compose(*RUN)
+    trainer, written = build_trainer(config), []
+    recorder = open_recorder(
+        config, trainer.env.stages, directory=tmp_path / "run", num_envs=4,
+        outcomes=trainer.statistics.outcomes,
+    )  # fmt: skip
+    monkeypatch.setattr(
+        training, "save_checkpoint", lambda *_: written.append(recorder.batches_written)
+    )
+    with recorder:
+        training.train(
+            trainer, tmp_path, total_frames=3 * 128, recorder=recorder,
+            logger=CsvLogger(folder=tmp_path), table=ProgressTable(tmp_path / "progress.csv"),
+            checkpoint_every_s=0.0,
+        )  # fmt: skip
+    assert written[:3] == [1, 2, 3]
