@@ -57,7 +57,7 @@ def nodes_in(
             there.
     """
     group = OmegaConf.to_container(config[name]) if isinstance(config, Container) else config[name]
-    found = {} if group is None else {name: group}
+    found: dict[str, Any] = {} if group is None else {name: group}
     if isinstance(group, Mapping):
         found = {str(key): node for key, node in group.items() if node is not None}
     for key, node in (dict.fromkeys(needed) | found).items():

@@ -43,8 +43,8 @@ _COLLISIONS = (
     "resc.terms.terminations.contact.Contact",
 )
 _INFLATED = ("#d9a8a0", 0.55)
-_LARGEST_SHARE = 1.25
-"""A last step that stretches the range of the rewards further is drawn as an arrow."""
+_OUTLIER = 5.0
+"""A last step that changes a sum of rewards by so many times what any before it did is an end."""
 _BESIDE = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
 """Where legends go that would hide curves."""
 
@@ -217,14 +217,14 @@ def _set_range(axes: Axes, end_s: float) -> None:
     """
     curves = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
     values = np.array([line.get_ydata() for line in curves])
-    low, high = min(0.0, values[:, :-1].min()), max(0.0, values[:, :-1].max())
-    if np.ptp([low, high, *values[:, -1]]) <= _LARGEST_SHARE * (high - low) or high == low:
+    changes = np.abs(np.diff(values))
+    if changes.shape[1] < 2 or changes[:, -1].max() <= _OUTLIER * changes[:, :-1].max():
         return
-    margin = 0.1 * (high - low)
+    low, high = min(0.0, values[:, :-1].min()), max(0.0, values[:, :-1].max())
+    margin = 0.1 * (high - low) or 1.0
     low, high = low - margin, high + margin
     axes.set_ylim(low, high)
-    for line in curves:
-        last = np.asarray(line.get_ydata())[-1]
+    for line, last in zip(curves, values[:, -1], strict=True):
         if not low <= last <= high:
             edge, marker = (low, "v") if last < low else (high, "^")
             axes.plot(end_s, edge, marker, color=line.get_color(), markersize=8, clip_on=False)

@@ -12,13 +12,11 @@ from resc.evaluation.replay import fly_again
 from resc.learning import training
 from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
-from resc.learning.offline import transitions
 from resc.learning.progress import CsvLogger, ProgressTable
 from resc.learning.training import record_batch
 from resc.recording import RolloutLog
 from resc.recording.check import check
 from resc.recording.commands import main
-from resc.recording.episode_scene import load_scene
 from resc.recording.rewrite import merge, recover
 from resc.recording.rollouts import open_recorder, record_world
 from resc.recording.source import open_source
@@ -242,26 +240,22 @@ def fly(trainer, config, folder, batches):
 
 def test_a_training_resumed_from_its_checkpoint_is_read_as_if_never_interrupted(compose, tmp_path):
     config = compose(*RUN)
-    straight, first, second = (build_trainer(config) for _ in range(3))
-    fly(straight, config, tmp_path / "straight", 6)
-    fly(first, config, tmp_path / "run", 3)
+    first, second = build_trainer(config), build_trainer(config)
+    fly(first, config, tmp_path / "run", 2)
     save_checkpoint(tmp_path / "checkpoint.pt", first)
     fly(first, config, tmp_path / "run", 2)
+    shutil.copytree(tmp_path / "run", tmp_path / "uninterrupted")
     killed(tmp_path / "run", 1)
     load_checkpoint(tmp_path / "checkpoint.pt", second)
-    fly(second, config, tmp_path / "run", 3)
-    log, expected = RolloutLog(tmp_path / "run"), RolloutLog(tmp_path / "straight")
-    assert log.start_steps == expected.start_steps
+    fly(second, config, tmp_path / "run", 2)
+    log, expected = RolloutLog(tmp_path / "run"), RolloutLog(tmp_path / "uninterrupted")
+    assert log.start_steps == expected.start_steps == [0, 32, 64, 96]
     assert (log.to_tensordict() == expected.to_tensordict()).all()
-    apart = ("file",)
-    assert log.episodes.drop(apart).equals(expected.episodes.drop(apart))
+    assert log.episodes.drop("file").equals(expected.episodes.drop("file"))
     assert log.episodes["complete"].all()
-    over = log.where(pl.col("start_step") < 96, pl.col("end_step") >= 96)
+    over = log.where(pl.col("start_step") < 64, pl.col("end_step") >= 64)
     assert len(over) > 0
-    seam = over.episodes["index"][0]
-    assert fly_again(f"{tmp_path / 'run'}#{seam}").largest == 0
-    assert transitions(over)["action"].shape == (sum(over.episodes["length"]), 4)
-    assert load_scene(log, seam).facts["index"] == str(seam)
+    assert fly_again(f"{tmp_path / 'run'}#{over.episodes['index'][0]}").largest == 0
     assert [fault for fault in check(tmp_path / "run").faults if "not complete" not in fault] == []
 
 
