@@ -103,9 +103,10 @@ def _read_rows(path: Path) -> list[dict[str, float]]:
         ConfigError: It is none, or damaged.
     """
     try:
-        rows = list(csv.DictReader(path.read_text().splitlines()))
-        if any("frames" not in row or None in row for row in rows):
-            raise ValueError("a row of another length")
+        reader = csv.DictReader(path.read_text().splitlines())
+        rows = list(reader)
+        if "frames" not in (reader.fieldnames or ["frames"]) or any(None in row for row in rows):
+            raise ValueError("no table of frames")
         return [{name: float(value) for name, value in row.items() if value} for row in rows]
     except (OSError, ValueError, TypeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error
@@ -150,22 +151,22 @@ def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
     With a curriculum, difficulty against frames and success against difficulty, too.
     """
     frames = [row["frames"] / 1e6 for row in rows]
-    eased = [name.removeprefix("difficulty/") for name in rows[-1] if "difficulty/" in name]
+    eased = _named(rows, "difficulty/")
     count = 5 if eased else 3
     figure, panels = plt.subplots(1, count, figsize=(13 / 3 * count, 3.6), layout="constrained")
     rates, returns, terms = panels[:3]
-    for name in (n for n in rows[-1] if n.startswith("outcome/")):
-        rates.plot(frames, [row.get(name, float("nan")) for row in rows], label=name.split("/")[1])
+    for name in _named(rows, "outcome/"):
+        rates.plot(frames, _column(rows, f"outcome/{name}"), label=name)
     rates.set(
         xlabel="frames [M]", ylabel="share of episodes", ylim=(0, 1), title="how episodes end"
     )
-    rates.legend(**_BESIDE)
-    returns.plot(frames, [row.get("episode/return", float("nan")) for row in rows], color="black")
+    _add_legend(rates, **_BESIDE)
+    returns.plot(frames, _column(rows, "episode/return"), color="black")
     returns.set(xlabel="frames [M]", title="return")
-    for name in (n for n in rows[-1] if n.startswith("reward/")):
-        terms.plot(frames, [row.get(name, float("nan")) for row in rows], label=name.split("/")[1])
+    for name in _named(rows, "reward/"):
+        terms.plot(frames, _column(rows, f"reward/{name}"), label=name)
     terms.set(xlabel="frames [M]", title="reward terms per step", yscale="symlog")
-    terms.legend(**_BESIDE)
+    _add_legend(terms, **_BESIDE)
     if eased:
         _draw_difficulty(panels[3], frames, rows, eased)
         _draw_success_by_difficulty(panels[4], rows, eased)
@@ -181,10 +182,9 @@ def _draw_difficulty(
 ) -> None:
     """Each difficulty against frames."""
     for name, style in zip(names, cycle(STYLES)):
-        values = [row.get(f"difficulty/{name}", float("nan")) for row in rows]
-        axes.plot(frames, values, label=name, linestyle=style)
+        axes.plot(frames, _column(rows, f"difficulty/{name}"), label=name, linestyle=style)
     axes.set(xlabel="frames [M]", ylabel="difficulty", ylim=(-0.02, 1.02), title="curriculum")
-    axes.legend(frameon=False, fontsize=8)
+    _add_legend(axes, frameon=False, fontsize=8)
 
 
 def _draw_success_by_difficulty(axes: Axes, rows: list[dict[str, float]], names: list[str]) -> None:
@@ -203,7 +203,24 @@ def _draw_success_by_difficulty(axes: Axes, rows: list[dict[str, float]], names:
             axes.plot(centres, shares, marker="o", linestyle=style, color=colour, label=label)
     axes.set(xlabel="difficulty", ylabel="share that succeeds", xlim=(0, 1), ylim=(-0.02, 1.02))
     axes.set(title="success against difficulty")
-    axes.legend(frameon=False, fontsize=8)
+    _add_legend(axes, frameon=False, fontsize=8)
+
+
+def _named(rows: list[dict[str, float]], prefix: str) -> list[str]:
+    """What follows a prefix in the names of any row: not every batch ends an episode."""
+    names = dict.fromkeys(name for row in rows for name in row if name.startswith(prefix))
+    return [name.removeprefix(prefix) for name in names]
+
+
+def _column(rows: list[dict[str, float]], name: str) -> list[float]:
+    """One figure of every row, NaN where there is none."""
+    return [row.get(name, float("nan")) for row in rows]
+
+
+def _add_legend(axes: Axes, **options: Any) -> None:  # noqa: ANN401 - matplotlib's
+    """A legend, where there is something to name."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(**options)
 
 
 def _first_sentence(term: object) -> str:

@@ -5,10 +5,11 @@ import signal
 import threading
 
 import pytest
+from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 from test_ppo import SMALL
 
-from resc.errors import RecordingError
+from resc.errors import ConfigError, RecordingError
 from resc.evaluation.replay import fly_again
 from resc.learning.assemble import build_trainer, fly_held_out, resumed
 from resc.learning.checkpoint import load_checkpoint, save_policy
@@ -51,6 +52,26 @@ def test_run_leaves_checkpoint_curve_and_one_row_per_batch(compose, tmp_path):
     draw_learning_curve(table.rows, tmp_path / "learning_curve.png")
     assert (tmp_path / "learning_curve.png").stat().st_size > 10_000
     assert (tmp_path / CHECKPOINT).exists()
+
+
+def test_curve_of_a_run_whose_last_batch_ended_no_episode_shows_the_others(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    rows = [{"frames": 1e6, "outcome/success": 0.5, "reward/time": -1.0}, {"frames": 2e6}]
+    draw_learning_curve(rows, tmp_path / "curve.png")
+    draw_learning_curve(rows[1:], tmp_path / "nothing.png")  # warns of nothing
+    names = [[line.get_label() for line in figure.axes[0].lines] for figure in drawn]
+    assert names == [["success"], []]
+
+
+@pytest.mark.parametrize("content", [b"trash", b"\xff\xfe", b"", b"frames,loss\n1,2,3\n"])
+def test_progress_that_is_none_is_answered_in_a_sentence(tmp_path, content):
+    (tmp_path / "progress.csv").write_bytes(content)
+    if content:
+        with pytest.raises(ConfigError, match=r"progress.csv cannot be read .*delete it"):
+            ProgressTable(tmp_path / "progress.csv")
+    else:
+        assert ProgressTable(tmp_path / "progress.csv").rows == []
 
 
 def test_progress_of_a_resumed_run_drops_rows_beyond_its_checkpoint(tmp_path):
