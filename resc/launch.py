@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -48,6 +49,8 @@ def launch(main: Callable[[], None], config_name: str) -> None:
     os.environ.setdefault(
         "HYDRA_FULL_ERROR", "1"
     )  # Hydra then raises instead of printing and exiting
+    if not sys.warnoptions:  # ours raise; those of other packages would stand in the progress bar
+        warnings.simplefilter("ignore")
     with answering():
         try:
             _refuse_rerun(sys.argv[1:])

@@ -1,12 +1,16 @@
 """What a user of the scripts is told when the command line is wrong."""
 
+import logging
 import os
 import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
+
+from resc.launch import launch
 
 ROOT = Path(__file__).parents[1]
 
@@ -26,6 +30,14 @@ def unread(*arguments):
 def test_what_shows_something_ends_quietly_where_its_reader_has_left():
     assert unread("train.py", "--info", "defaults") == ("", -signal.SIGPIPE)
     assert unread("-m", "resc.recording", "--help")[0] == ""
+
+
+def test_warnings_of_other_packages_stay_out_of_the_progress_bar(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["train.py"])
+    monkeypatch.setattr(logging, "raiseExceptions", True)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    launch(lambda: warnings.warn("theirs", stacklevel=1), "train")
 
 
 def start(script, *overrides):
