@@ -15,6 +15,8 @@ FILES = sorted(
     for place in ("benchmarks", "examples", "hydra_plugins", "resc", "tests")
     for path in (ROOT / place).rglob("*.py")
 )
+RUN = ("run", "call", "check_call", "check_output")
+"""Of `subprocess`: what starts a program and waits for it."""
 HANGING = """
 import subprocess
 import pytest
@@ -34,8 +36,7 @@ def waits_for_ever(path):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         runs = isinstance(node.func.value, ast.Name) and node.func.value.id == "subprocess"
-        waits = node.func.attr == "communicate" or (runs and node.func.attr != "Popen")
-        if waits and "timeout" not in [keyword.arg for keyword in node.keywords]:
+        if (node.func.attr == "communicate" or (runs and node.func.attr in RUN)) and "timeout" not in [keyword.arg for keyword in node.keywords]:
             yield f"{path.relative_to(ROOT)}:{node.lineno}"
 
 

@@ -222,6 +222,11 @@ class RolloutRecorder:
             raise RecordingError(
                 f"The recorder of {self._directory} is closed; put batches before close()."
             )
+        if os.getpid() != self._process:  # where no thread writes, a wait for it would not end
+            raise RecordingError(
+                f"The recorder of {self._directory} belongs to another process; open one in each "
+                "process that records."
+            )
 
     def _raise_error(self) -> None:
         if self._error is not None:

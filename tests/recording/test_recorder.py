@@ -114,6 +114,18 @@ def test_a_closed_recorder_leaves_no_thread_and_no_open_file(tmp_path):
         assert len(os.listdir("/proc/self/fd")) <= len(before)
 
 
+def test_a_forked_child_is_refused_instead_of_waiting_for_a_thread_it_lacks(tmp_path, monkeypatch):
+    with recorder(tmp_path) as target:
+        with monkeypatch.context() as child:
+            child.setattr(os, "getpid", lambda: -1)
+            with pytest.raises(RecordingError, match="belongs to another process; open one"):
+                put_many(target, 3)
+            with pytest.raises(RecordingError, match="belongs to another process"):
+                target.flush()
+        put_many(target, 1)
+    assert_holds(RolloutLog(tmp_path), 1)
+
+
 def test_files_rotate_by_size_and_each_is_complete(tmp_path):
     with recorder(tmp_path, rotate_mb=0.01, compression="none") as target:
         put_many(target, 40)
