@@ -36,7 +36,9 @@ def waits_for_ever(path):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         runs = isinstance(node.func.value, ast.Name) and node.func.value.id == "subprocess"
-        if (node.func.attr == "communicate" or (runs and node.func.attr in RUN)) and "timeout" not in [keyword.arg for keyword in node.keywords]:
+        if (
+            node.func.attr == "communicate" or (runs and node.func.attr in RUN)
+        ) and "timeout" not in [keyword.arg for keyword in node.keywords]:
             yield f"{path.relative_to(ROOT)}:{node.lineno}"
 
 
