@@ -1,7 +1,7 @@
 """How fast recordings are read.
 
     python benchmarks/recording_read.py                     1024 environments, 524,288 steps
-    python benchmarks/recording_read.py runs/latest         a recording of your own
+    python benchmarks/recording_read.py runs/latest_train         a recording of your own
     python benchmarks/recording_read.py --json out.json
 
 The file is in the page cache: what counts is decompression, checksums and copies. CPU time is given

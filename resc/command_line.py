@@ -23,7 +23,7 @@ def override(key: str, value: Value) -> str:
 
 
 def command(script: str, overrides: Mapping[str, Value]) -> str:
-    """The line that starts a script, such as `python train.py resume=runs/latest`."""
+    """The line that starts a script, such as `python train.py resume=runs/latest_train`."""
     return shell("python", script, *(override(key, value) for key, value in overrides.items()))
 
 

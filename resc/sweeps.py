@@ -20,7 +20,7 @@ from resc.evaluation.study import differing
 from resc.jobs import Job, Outcome, Runner, Status, run_alone
 from resc.origin import claim
 from resc.quantities import Count, Positive, Within
-from resc.run_folder import FAILURE
+from resc.run_folder import FAILURE, link_latest
 from resc.sweep_folder import go_on
 
 POLL_S = 0.5
@@ -195,8 +195,10 @@ def run_sweep(
     """
     for job in jobs:
         job.require_ours()
-    if jobs:
-        claim(jobs[0].folder.parent)
+    folder = jobs[0].folder.parent if jobs else None
+    if folder:
+        claim(folder)
+        link_latest(folder, "sweep")
     names = dict(zip(jobs, differing([job.overrides for job in jobs]), strict=True))
     runner = Runner()
     outcomes: dict[Job, Outcome] = {}
@@ -206,6 +208,8 @@ def run_sweep(
             name = " ".join((f"run {outcome.job.name}", *names[outcome.job]))
             count = f"[{before + len(outcomes)}/{total or len(jobs)}]"
             print(f"{count} {name}: {outcome.status}, {outcome.sentence}", flush=True)
+    if folder:
+        link_latest(folder, "sweep")  # not to the run that ended last
     return [outcomes.get(job, Outcome(job, "stopped", "not begun")) for job in jobs]
 
 

@@ -92,7 +92,7 @@ def parse(location: str) -> tuple[Path, int]:
     if not path or not re.fullmatch(r"-?\d+", episode, re.ASCII):
         raise ConfigError(
             f"replay is '{location}'; expected FILE#EPISODE, such as "
-            "runs/latest/rollouts/rollouts_00000.mcap#3."
+            "runs/latest_train/rollouts/rollouts_00000.mcap#3."
         )
     return Path(path), int(episode)
 

@@ -14,9 +14,9 @@ RECORDING is an .mcap file (also one that was cut or is being written), a folder
 of a run, or a pattern such as 'runs/*/*'. Episodes are numbered by the column 'index' of the
 command 'episodes'."""
 EPILOG = """examples:
-  resc-log info runs/latest
-  resc-log episodes runs/latest --where "outcome == 'collision' and length > 50" --sort return_
-  resc-log plot runs/latest --episode 17 --out crash.png
+  resc-log info runs/latest_train
+  resc-log episodes runs/latest_train --where "outcome == 'collision' and length > 50" --sort return_
+  resc-log plot runs/latest_train --episode 17 --out crash.png
 
 'resc-log COMMAND --help' describes a command. Exit codes: 0 done, 1 not done or something is wrong
 with the recording, 2 wrong arguments, 130 interrupted."""

@@ -31,7 +31,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         ("rerun", run_rerun, "rrd", "one episode in 3-D for Rerun, with its blueprint"),
         ("plot", run_plot, "png", "picture of one episode: map, speed, attitude, rates, reward"),
     ):
-        example = f"resc-log {name} runs/latest --episode 17 --out crash.{suffix}"
+        example = f"resc-log {name} runs/latest_train --episode 17 --out crash.{suffix}"
         parser = add_command(commands, name, run, summary, example)
         add_recording(parser)
         add_episode(parser)
@@ -43,7 +43,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "parquet",
         run_parquet,
         "one row per environment and step, for pandas, polars, DuckDB, Spark",
-        "resc-log parquet runs/latest --where \"outcome == 'collision'\" --out crashes.parquet",
+        "resc-log parquet runs/latest_train --where \"outcome == 'collision'\" --out crashes.parquet",
     )
     add_recording(parquet)
     add_where(parquet)

@@ -29,7 +29,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "info",
         run_info,
         "what a recording holds: files, steps, outcomes, columns, facts about the run",
-        "resc-log info runs/latest",
+        "resc-log info runs/latest_train",
     )
     add_recording(info)
     episodes = add_command(
@@ -37,7 +37,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "episodes",
         run_episodes,
         "table of finished episodes, filtered and sorted",
-        "resc-log episodes runs/latest --where \"outcome == 'collision' and length > 50\" "
+        "resc-log episodes runs/latest_train --where \"outcome == 'collision' and length > 50\" "
         "--sort return_ --limit 10",
     )
     add_recording(episodes)
@@ -56,7 +56,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "schema",
         run_schema,
         "every topic and field with type, unit, frame and meaning, as Markdown",
-        "resc-log schema runs/latest",
+        "resc-log schema runs/latest_train",
     )
     schema.add_argument(
         "recording", nargs="?", metavar="RECORDING", help="default: what training records"

@@ -21,7 +21,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "check",
         run_check,
         "whether structure, checksums, counts, values and episodes are right",
-        "resc-log check runs/latest && echo fine",
+        "resc-log check runs/latest_train && echo fine",
     )
     add_recording(checking)
     recovering = add_command(
@@ -29,7 +29,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "recover",
         run_recover,
         "make a cut, damaged or growing file a complete one",
-        "resc-log recover runs/latest/rollouts/rollouts_00003.mcap.active --out saved.mcap",
+        "resc-log recover runs/latest_train/rollouts/rollouts_00003.mcap.active --out saved.mcap",
     )
     recovering.add_argument("file", type=Path, metavar="FILE", help="stays as it is")
     add_output(
@@ -42,7 +42,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "merge",
         run_merge,
         "make one file of those of a run",
-        "resc-log merge runs/latest --out run.mcap",
+        "resc-log merge runs/latest_train --out run.mcap",
     )
     merging.add_argument("recordings", nargs="+", metavar="RECORDING")
     add_output(merging, "merged.mcap in this folder")
