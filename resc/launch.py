@@ -179,7 +179,7 @@ def resumed_sweep(arguments: list[str]) -> list[str]:
 def quoted_paths(arguments: Sequence[str]) -> list[str]:
     """The arguments, with quotes around paths that Hydra would not read as texts.
 
-    A path typed bare may hold what means something to Hydra: `replay=runs/latest_train/rollouts#17`,
+    A path typed bare may hold what means something to Hydra: `replay=runs/a/rollouts#17`,
     `policy=runs/lr=0.1`, `resume=runs/a, b`; a comma with `-m` is between paths.
     """
     swept = not set(arguments).isdisjoint(MULTIRUN)

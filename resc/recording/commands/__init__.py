@@ -15,7 +15,7 @@ of a run, or a pattern such as 'runs/*/*'. Episodes are numbered by the column '
 command 'episodes'."""
 EPILOG = """examples:
   resc-log info runs/latest_train
-  resc-log episodes runs/latest_train --where "outcome == 'collision' and length > 50" --sort return_
+  resc-log episodes runs/latest_train --where "outcome == 'collision'" --sort return_
   resc-log plot runs/latest_train --episode 17 --out crash.png
 
 'resc-log COMMAND --help' describes a command. Exit codes: 0 done, 1 not done or something is wrong

@@ -43,7 +43,7 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "parquet",
         run_parquet,
         "one row per environment and step, for pandas, polars, DuckDB, Spark",
-        "resc-log parquet runs/latest_train --where \"outcome == 'collision'\" --out crashes.parquet",
+        "resc-log parquet runs/latest_train --where \"outcome == 'collision'\" --out a.parquet",
     )
     add_recording(parquet)
     add_where(parquet)
