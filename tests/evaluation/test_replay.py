@@ -83,8 +83,8 @@ def test_another_action_is_noticed(recording):
     deviations = compare(env, steps, row, cut=False)
     assert deviations[keys.BODY_RATE_B] > 1e-3
     assert deviations[keys.REWARD] > 0
-    with pytest.raises(RecordingError, match="no column action, which a replay needs"):
-        compare(env, steps.exclude("action"), row, cut=False)
+    with pytest.raises(RecordingError, match="no column sampled_action, which a replay needs"):
+        compare(env, steps.exclude("sampled_action"), row, cut=False)
     assert keys.REWARD not in compare(env, steps.exclude("reward"), row, cut=False)
 
 

@@ -87,7 +87,7 @@ def test_a_batch_without_all_its_fragments_is_refused_and_left_out_by_recover(pa
 
 def test_damaged_episodes_are_refused_and_left_out_by_recover(path, tmp_path):
     damage(path, "/episodes", 1)
-    with pytest.raises(RecordingError, match="write what is readable to another file"):
+    with pytest.raises(RecordingError, match="save what is readable"):
         len(RolloutLog(path))
     done = recover(path, tmp_path / "saved.mcap")
     assert (done.batches, len(done.lost)) == (4, 1)
