@@ -18,6 +18,7 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
@@ -46,6 +47,8 @@ def launch(main: Callable[[], None], config_name: str) -> None:
     recordings are completed.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - it was closed by the caller
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     os.environ.setdefault(
         "HYDRA_FULL_ERROR", "1"
     )  # Hydra then raises instead of printing and exiting
@@ -53,7 +56,8 @@ def launch(main: Callable[[], None], config_name: str) -> None:
         warnings.simplefilter("ignore")
     with answering():
         try:
-            _refuse_rerun(sys.argv[1:])
+            _refuse_foreign(sys.argv[1:])
+            _require_names(sys.argv[1:])
             sys.argv[1:] = resumed_sweep(in_its_folder(quoted_paths(sys.argv[1:])))
             show_quietly()
             main()
@@ -65,12 +69,44 @@ def launch(main: Callable[[], None], config_name: str) -> None:
             raise ConfigError(f"{error}; leave out what does not belong.") from None
 
 
-def _refuse_rerun(arguments: Sequence[str]) -> None:
+def _refuse_foreign(arguments: Sequence[str]) -> None:
+    """Refuses what Hydra can do, and runs here would not survive."""
     if any(text.startswith("--experimental") for text in arguments):
         raise ConfigError(
             "--experimental-rerun does not know the folders of runs; use resume= of train.py, or "
             "replay= of evaluate.py."
         )
+    if any(text.lstrip("+") == "hydra.job.chdir=true" for text in arguments):
+        raise ConfigError(
+            "hydra.job.chdir=true, but paths are read from where the command is given; leave it "
+            "out: a run's files are in its folder anyway."
+        )
+
+
+def _require_names(arguments: Sequence[str]) -> None:
+    """Refuses a group that is given something else than names of its files.
+
+    Raises:
+        ConfigError: It names the group and gives an example.
+    """
+    for text in arguments:
+        key, given, value = text.lstrip("+").partition("=")
+        group = key.partition("@")[0]
+        if not given or text.startswith("-") or not (CONF / group).is_dir():
+            continue
+        try:
+            parsed = OverridesParser.create().parse_override(text)
+            chosen = "" if parsed.is_sweep_override() else parsed.value()
+        except HydraException:  # Hydra says why
+            continue
+        names = chosen if isinstance(chosen, list) else [chosen]
+        if any(not isinstance(name, str | QuotedString) for name in names):
+            some = sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+            example = f"{group}=[{','.join(some[:2])}], or [] for none"
+            example = example if group in LISTS else f"{group}={some[0]}"
+            raise ConfigError(
+                f"{group} is {value}; expected names of files in conf/{group}, such as {example}."
+            )
 
 
 def _own_words(error: BaseException | None) -> str:
@@ -110,7 +146,7 @@ def in_its_folder(arguments: list[str]) -> list[str]:
     Raises:
         ConfigError: There is no such folder, or it holds neither a run nor a sweep.
     """
-    chosen = [text for text in arguments if text.startswith("resume=")]
+    chosen = [text for text in arguments if text.lstrip("+").startswith("resume=")]
     text = str(_value_of(chosen[-1])) if chosen else "null"
     if text in ("null", "None"):
         return arguments
@@ -150,7 +186,7 @@ def resumed_sweep(arguments: list[str]) -> list[str]:
     Raises:
         ConfigError: Another argument would change what the runs are.
     """
-    chosen = [text for text in arguments if text.startswith("resume=")]
+    chosen = [text for text in arguments if text.lstrip("+").startswith("resume=")]
     folder = Path(str(_value_of(chosen[-1]))).resolve() if chosen else None
     if folder is None or not is_sweep(folder):
         return arguments
@@ -274,5 +310,7 @@ def _explain_override(path: str, config_name: str, choices: Sequence[str]) -> st
         found.append(parts[len(found)])
     known = [str(key) for key in node] if isinstance(node, DictConfig) else []
     missing = parts[len(found)]
+    if missing in known:
+        return f"{path} is no setting of the configuration that --config-name names."
     where = ".".join(found) or config_name
     return f"{path} is no setting: {where} has no '{missing}'.{nearest(missing, known)}"

@@ -19,6 +19,7 @@ from resc.sweep_folder import go_on
 
 LARGEST_SEED = 2**63 - 1
 LEAST: dict[str, int] = {
+    "threads": 1,
     "seed": 0,
     "evaluation_seed": 0,
     "num_envs": 1,

@@ -154,7 +154,7 @@ def test_recover_does_not_overwrite_what_it_reads(run, call, tmp_path):
     before = cut.read_bytes()
     code, _, error = call("recover", "cut.mcap", "--out", cut, "--force")
     assert code == 1
-    assert error == f"error: {cut} is the file to recover; name another with --out."
+    assert error == f"error: {cut} is what is read; name another file with --out."
     assert cut.read_bytes() == before
 
 
@@ -259,7 +259,10 @@ def test_an_output_that_exists_is_kept_unless_forced(run, call, tmp_path):
         (("plot", "RUN", "--episode", "0", "--out", "a.xyz"), "end with .png, .pdf, .svg; name"),
         (("plot", "bare", "--episode", "0"), "no attachment 'config.yaml'"),
         (("plot", "stateless", "--episode", "0"), "state.position_w"),
-        (("merge", "RUN", "--out", "RUN/rollouts/rollouts_00000.mcap", "--force"), "one of the"),
+        (
+            ("merge", "RUN", "--out", "RUN/rollouts/rollouts_00000.mcap", "--force"),
+            "is what is read",
+        ),
         (("recover", "text.mcap"), "is not an MCAP file"),
         (("check", "nowhere"), "No recording at nowhere"),
     ],

@@ -10,6 +10,7 @@ import polars as pl
 from polars.exceptions import PolarsError
 
 from resc.errors import RecordingError
+from resc.recording.location import recordings_at
 from resc.recording.reader import RolloutLog
 from resc.recording.selection import Selection
 
@@ -100,13 +101,23 @@ def output(given: argparse.Namespace, default: Path) -> Path:
     """Where the output goes.
 
     Raises:
-        RecordingError: A file is there already, or its folder is not.
+        RecordingError: A file is there already, the recording itself even, or its folder is not.
     """
     path: Path = default if given.out is None else given.out
     if path.is_dir():
         raise RecordingError(f"{path} is a folder; name a file in it with --out.")
+    if path.exists() and any(path.samefile(file) for file in _inputs(given)):
+        raise RecordingError(f"{path} is what is read; name another file with --out.")
     if os.path.lexists(path) and not given.force:
         raise RecordingError(f"{path} exists; name another file with --out, or add --force.")
     if not path.parent.is_dir():
         raise RecordingError(f"{path.parent} is not a folder; create it, or change --out.")
     return path
+
+
+def _inputs(given: argparse.Namespace) -> list[Path]:
+    """The files that a command reads."""
+    if "file" in given:
+        return [given.file]
+    locations = given.recordings if "recordings" in given else [given.recording]
+    return [path for location in locations for path in recordings_at(location)]

@@ -75,8 +75,6 @@ def run_recover(given: argparse.Namespace) -> int:
         raise RecordingError(f"{given.file} is no file; name a recording.")
     name = given.file.name.removesuffix(ACTIVE)
     path = output(given, given.file.with_name(f"recovered_{name}"))
-    if realpath(path) == realpath(given.file):
-        raise RecordingError(f"{path} is the file to recover; name another with --out.")
     return _report(recover(given.file, path), path)
 
 
@@ -87,8 +85,6 @@ def run_merge(given: argparse.Namespace) -> int:
     found = [path for location in given.recordings for path in recordings_at(location)]
     files = list({realpath(path): path for path in found}.values())
     path = output(given, Path("merged.mcap"))
-    if realpath(path) in map(realpath, files):
-        raise RecordingError(f"{path} is one of the files to merge; name another with --out.")
     return _report(merge(files, path), path)
 
 
