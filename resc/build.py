@@ -264,10 +264,15 @@ def _require_boxes(scene: Scene, some: Layout) -> None:
         )
 
 
+def arrival_of(config: Mapping[str, Any]) -> dict[str, Any]:
+    """What a configuration says of reaching a control point; nothing where it has no task."""
+    node = _resolved(config.get("task") or {}, "task").get("control_points") or {}
+    return _resolved(node, "task.control_points")
+
+
 def _require_ways(layout: Layout, config: Mapping[str, Any]) -> None:
     """An arrival that reaches from all goals to their starts leaves nothing to fly."""
-    task = (config.get("task") or {}).get("control_points") or {}
-    radius_m = task.get("radius_m")
+    radius_m = arrival_of(config).get("radius_m")
     last = layout.route_length.clamp(min=1).unsqueeze(-1).expand(-1, 1, 3) - 1
     goal = layout.route_w.gather(1, last)[:, 0]
     farthest_m = float(torch.linalg.vector_norm((goal - layout.start_w)[:, :2], dim=-1).max())

@@ -4,6 +4,7 @@ A file that is added to conf/ is mutated, too. `BOUNDS` says which numbers canno
 """
 
 import copy
+import functools
 import math
 import re
 import zlib
@@ -108,10 +109,10 @@ def cases() -> Iterator[Case]:
         group = file.parent.name
         if group in NO_PARTS:
             continue
+        made_of = targets(load(group, file.stem))
         for case in cases_of_part(group, file.stem):
-            if (
-                key := (group, targets(load(group, file.stem)), case.path, repr(case.value))
-            ) not in met:
+            key = (group, made_of, case.path, repr(case.value))
+            if key not in met:
                 met.add(key)
                 yield case
 
@@ -143,8 +144,9 @@ def cases_of(script: str, settings: dict[str, Any]) -> Iterator[Case]:
                 yield Case(script, "", (name,), mutant, meant)
 
 
+@functools.cache
 def load(group: str, name: str) -> dict[str, Any]:
-    """What a file of conf/ says, with the files of its group that it is made of."""
+    """What a file of conf/ says, with the files of its group that it is made of; to be copied."""
     node = OmegaConf.load(CONF / group / f"{name}.yaml")
     parts = [part for part in node.pop("defaults", []) if part != "_self_"]
     whole = OmegaConf.merge(*(load(group, part) for part in parts), node)

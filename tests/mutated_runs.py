@@ -162,8 +162,13 @@ def with_part(config: DictConfig, case: Case) -> DictConfig:
             for term, content in node.items():
                 config[where][term] = content
             return config
+        # What conf/train.yaml adds.
         if group == "scene" and isinstance(node, dict):
             node["difficulty"] = "obstacles"
+        if group == "task" and isinstance(node, dict):
+            start = node.get("initial_state")
+            if isinstance(start, dict) and start:
+                start["difficulty"] = "initial_state"
         config[where] = node
     return config
 

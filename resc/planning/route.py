@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from resc.build import build, cell_of
+from resc.build import arrival_of, build, cell_of
 from resc.errors import ConfigError, PlanningError
 from resc.maps.cells import shape_of
 from resc.planning.control_points import control_points
@@ -155,7 +155,7 @@ def planner_for(config: Mapping[str, Any]) -> RoutePlanner | None:
     if not config.get("search"):
         return None
     allowed = config.get("allowed_targets", ())
-    task = (config.get("task") or {}).get("control_points") or {}
+    task = arrival_of(config)
     return build(
         config["search"],
         "search",
