@@ -9,25 +9,21 @@ python evaluate.py 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'    a n
 python evaluate.py replay=runs/latest_evaluation/rollouts#7    a recorded episode, flown again
 """
 
-from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from resc import schema
-from resc.build import nearest
 from resc.console import logged
-from resc.errors import ConfigError
 from resc.evaluation.campaign import evaluate
 from resc.evaluation.replay import replay
-from resc.launch import answering, files_of_run, launch, refuse_doubles
+from resc.launch import answering, compose_scenes, launch, refuse_doubles
 from resc.learning.checkpoint import load_policy
 from resc.process import prepare_process
 from resc.run_folder import LATEST, claimed, latest
-from resc.settings import check_settings, listed
+from resc.settings import check_settings
 
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="evaluate")
@@ -58,29 +54,6 @@ def policy_folder(text: str) -> Path:
         return latest("policy", "train")
     ours = Path(__file__).parent / text
     return ours if ours.exists() and not Path(text).exists() else Path(text)
-
-
-def compose_scenes(config: DictConfig) -> dict[str, dict[str, Any]]:
-    """The scenes of the list with the numbers of `scene` in place of their own.
-
-    Raises:
-        ConfigError: A scene is unknown or named twice.
-    """
-    known = files_of_run().get_group_options("scene")
-    hydra_config = HydraConfig.get()
-    search = [text for text in hydra_config.overrides.hydra if "searchpath" in text]
-    scenes = {}
-    for name, times in Counter(listed(config["scenes"])).items():
-        if name not in known:
-            raise ConfigError(f"Unknown scene '{name}'.{nearest(name, known)}")
-        if times > 1:
-            raise ConfigError(f"scenes names '{name}' {times} times; raise flights instead.")
-        node = hydra.compose(hydra_config.job.config_name, [*search, f"+scene={name}"])["scene"]
-        own, given = (
-            OmegaConf.to_container(part, resolve=True) for part in (node, config["scene"])
-        )
-        scenes[name] = {**own, **given}
-    return scenes
 
 
 if __name__ == "__main__":

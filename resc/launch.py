@@ -7,11 +7,13 @@ import re
 import signal
 import sys
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 from hydra import compose, initialize_config_dir
+from hydra import main as hydra_main
 from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
 from hydra._internal.utils import get_args_parser
@@ -21,20 +23,21 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from resc.build import nearest
 from resc.command_line import override, shell
 from resc.errors import ConfigError, RescError
 from resc.origin import CHANGEABLE, MULTIRUN, OF_ITS_FOLDER, is_among, key_of, return_to
-from resc.run_folder import CONFIG, LATEST, ORIGIN, latest, sweep_of
+from resc.run_folder import CONFIG, LATEST, ORIGIN, claimed, latest, sweep_of
+from resc.settings import listed
 from resc.sweep_folder import arguments_of, go_on, is_sweep, permissions
 
 CONF = Path(__file__).parents[1] / "conf"
 LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric")
 """Groups of which a configuration takes several files."""
-PATHS = ("resume", "policy", "replay")
+PATHS = ("resume", "policy", "replay", "references")
 """Settings whose value is a path, typed as it is."""
 SHOWING = ("help", "hydra_help", "cfg", "info", "shell_completion")
 """Options of Hydra with which nothing is run."""
@@ -67,6 +70,19 @@ def launch(main: Callable[[], None], config_name: str) -> None:
             if not str(error).startswith(("Only one of --run", "The --resolve flag")):
                 raise
             raise ConfigError(f"{error}; leave out what does not belong.") from None
+
+
+def launch_here(main: Callable[[DictConfig, Path], None], config_name: str) -> None:
+    """`launch` for a module of the package: `main` gets the configuration and the run's folder."""
+
+    @hydra_main(version_base="1.3", config_path=str(CONF), config_name=config_name)
+    def run(config: DictConfig) -> None:
+        folder = Path(HydraConfig.get().runtime.output_dir)
+        with answering(), claimed(folder):
+            refuse_doubles()
+            main(config, folder)
+
+    launch(run, config_name)
 
 
 def _refuse_foreign(arguments: Sequence[str]) -> None:
@@ -272,6 +288,29 @@ def files_of_run() -> ConfigRepository:
     for source in HydraConfig.get().runtime.config_sources:
         search.append(source.provider, f"{source.schema}://{source.path}")
     return ConfigRepository(search)
+
+
+def compose_scenes(config: DictConfig) -> dict[str, dict[str, Any]]:
+    """The scenes of the list with the numbers of `scene` in place of their own.
+
+    Raises:
+        ConfigError: A scene is unknown or named twice.
+    """
+    known = files_of_run().get_group_options("scene")
+    hydra_config = HydraConfig.get()
+    search = [text for text in hydra_config.overrides.hydra if "searchpath" in text]
+    scenes = {}
+    for name, times in Counter(listed(config["scenes"])).items():
+        if name not in known:
+            raise ConfigError(f"Unknown scene '{name}'.{nearest(name, known)}")
+        if times > 1:
+            raise ConfigError(f"scenes names '{name}' {times} times; raise flights instead.")
+        node = compose(hydra_config.job.config_name, [*search, f"+scene={name}"])["scene"]
+        own, given = (
+            OmegaConf.to_container(part, resolve=True) for part in (node, config["scene"])
+        )
+        scenes[name] = {**own, **given}
+    return scenes
 
 
 def explain(error: Exception, config_name: str) -> str:

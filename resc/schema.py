@@ -15,7 +15,7 @@ LONGEST_NAME = 200
 
 @dataclass
 class RunSchema:
-    """What `train.py` and `evaluate.py` share.
+    """What `train.py`, `evaluate.py` and `resc.evaluation.bound` share.
 
     Args:
         name: Part of the run's folder name.
@@ -99,6 +99,8 @@ class EvaluateSchema(RunSchema):
         flights: Flights per scene.
         scene_files: First flights of each scene written as 3-D scenes, beside the best and the
             worst; 0 for none. There are none without a recorder.
+        references: File with the references that flights are measured by, as
+            `python -m resc.evaluation.bound` stores them; null is docs/results/references.json.
         replay: FILE#EPISODE of a recording to fly again instead; FILE may be a folder or a pattern.
         seed: Of starts and random scenes; training never uses this one.
         compile: Compile the step; pays off only for many thousand flights.
@@ -111,7 +113,28 @@ class EvaluateSchema(RunSchema):
     scenes: Any = field(default_factory=list)
     flights: int = 20
     scene_files: int = 1
+    references: str | None = None
     replay: str | None = None
+    limits: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class BoundSchema(RunSchema):
+    """What `python -m resc.evaluation.bound` needs.
+
+    Args:
+        scenes: Files of conf/scene to find references for: a list, or the name of one.
+        flights: Flights of an evaluation whose maps are solved, where maps differ.
+        references: File that keeps them; null is docs/results/references.json.
+        seed: Of random scenes, as in an evaluation.
+    """
+
+    name: str = "bound"
+    seed: int = 1_000_003
+    scenes: Any = field(default_factory=list)
+    flights: int = 20
+    references: str | None = None
+    limits: dict[str, Any] = field(default_factory=dict)
 
 
 def folder_name(name: object) -> str:
@@ -131,9 +154,10 @@ def folder_name(name: object) -> str:
 
 
 def register() -> None:
-    """Makes what train.yaml and evaluate.yaml refer to known to Hydra."""
+    """Makes what train.yaml, evaluate.yaml and bound.yaml refer to known to Hydra."""
     OmegaConf.register_new_resolver("new_folder", new_folder, replace=True)
     OmegaConf.register_new_resolver("folder_name", folder_name, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=TrainSchema)
     store.store(name="evaluate_schema", node=EvaluateSchema)
+    store.store(name="bound_schema", node=BoundSchema)

@@ -12,12 +12,21 @@ from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.flights import Flights, fly_recorded
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
+from resc.evaluation.references import (
+    Reference,
+    References,
+    crossings,
+    digest,
+    limits_of,
+    read_references,
+)
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.evaluation.statistics import join, report_scenes, tabulate
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
 from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
+from resc.planning.time_optimal import Limits
 from resc.recording.rollouts import provenance
 from resc.run_folder import finish_run
 
@@ -46,6 +55,8 @@ def evaluate(
     began = time.perf_counter()
     if config["scene_files"] < 0:
         raise ConfigError(f"scene_files is {config['scene_files']}; expected 0 or more.")
+    limits = limits_of(config)
+    references = read_references(Path(config["references"]) if config["references"] else None)
     stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
     planner = planner_for({**config, "env": config["env"] or stored["env"]})
     allowed = config["allowed_targets"]
@@ -56,14 +67,16 @@ def evaluate(
     OmegaConf.save(OmegaConf.create(dict(config)), folder / "config.yaml")
     rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}
     flown = fly_courses(courses, policy, rules, folder, overrides)
-    tables = [tabulate(course, flown[course.name]) for course in courses]
+    measured_by = {course.name: references_of(course, limits, references) for course in courses}
+    tables = [tabulate(c, flown[c.name], measured_by[c.name]) for c in courses]
     reports = report_scenes(tables)
     pictured = []
     for course, report in zip(courses, reports, strict=False):
         settings = rules[course.own_routes]
         radius = settings["task"]["control_points"].get("radius_m", 0.5)
         resolution = settings["env"]["resolution_m"]
-        pictured.append(Flown(course, flown[course.name], report, radius, resolution))
+        own = flown[course.name], measured_by[course.name]
+        pictured.append(Flown(course, *own, report, radius, resolution))
     for scene in pictured:
         draw_scene(scene, folder / f"flight_{scene.course.name}.png")
     draw_overview(pictured, folder / "flights.png")
@@ -85,6 +98,16 @@ def evaluate(
     }
     finish_run(folder, figures, "evaluation")
     return f"{text}\n{_left_in(folder, told)}"
+
+
+def references_of(
+    course: Course, limits: Limits, references: References
+) -> list[Reference | None]:
+    """The reference of every flight; none where nothing is stored for its scene and limits."""
+    if course.own_routes:
+        return [None] * len(course)
+    sought = crossings(course.layout, course.nominal_w, limits)
+    return [references.get(digest(crossing)) for crossing in sought]
 
 
 def fly_courses(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from resc.build import build
 from resc.errors import ConfigError
@@ -23,13 +24,15 @@ TYPICAL_CELL_M = 0.1
 class Course:
     """One scene of the list with a start and a route for every flight.
 
-    `planned_m` is the polyline of each flight. `own_routes`: the scene laid the routes out itself,
+    `planned_m` is the polyline of each flight, `nominal_w` its start without the jitter.
+    `own_routes`: the scene laid the routes out itself,
     so its flights obey the task and the terminations of the training; all others lead from rest to
     the goal of a planned path.
     """
 
     name: str
     layout: Layout
+    nominal_w: Float[Tensor, "p 3"]
     planned_m: Sequence[Float[np.ndarray, "_ 2"]]
     own_routes: bool
 
@@ -83,11 +86,7 @@ def lay_out(
         raise ConfigError(f"flights is {flights}; expected at least 1.")
     courses = []
     for name, node in scenes.items():
-        scene = build(node, f"scene.{name}", allowed=allowed, kind=Scene)
-        cell_m = planner.search.resolution_m if planner else TYPICAL_CELL_M
-        one = scene.sample(1, generator_for(seed, f"evaluation/{name}"))
-        require_room(flights, one.size, cell_m, "cpu")
-        layout = scene.sample(flights, generator_for(seed, f"evaluation/{name}"))
+        layout, nominal = drawn(name, node, flights, seed=seed, planner=planner, allowed=allowed)
         own_routes = bool((layout.route_length > 0).all())
         if own_routes:
             planned = _lines(layout)
@@ -98,8 +97,27 @@ def lay_out(
         else:
             layout = planner(layout, name)
             planned = [path.points_m for path in planner.paths]
-        courses.append(Course(name, layout, planned, own_routes))
+        courses.append(Course(name, layout, nominal, planned, own_routes))
     return courses
+
+
+def drawn(
+    name: str,
+    node: Mapping[str, Any],
+    flights: int,
+    *,
+    seed: int,
+    planner: RoutePlanner | None,
+    allowed: Iterable[str] = (),
+) -> tuple[Layout, Float[Tensor, "p 3"]]:
+    """The layout of one scene configuration, and the starts as they are without jitter."""
+    scene = build(node, f"scene.{name}", allowed=allowed, kind=Scene)
+    cell_m = planner.search.resolution_m if planner else TYPICAL_CELL_M
+    one = scene.sample(1, generator_for(seed, f"evaluation/{name}"))
+    require_room(flights, one.size, cell_m, "cpu")
+    layout = scene.sample(flights, generator_for(seed, f"evaluation/{name}"))
+    start = getattr(scene, "start_m", None)
+    return layout, layout.start_w if start is None else start.expand(flights, 3)
 
 
 def _lines(layout: Layout) -> list[Float[np.ndarray, "_ 2"]]:

@@ -12,6 +12,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from resc.evaluation.colours import (
     BACKGROUND,
+    BOUND,
     COLLISION,
     DASHES,
     FRAME,
@@ -23,6 +24,7 @@ from resc.evaluation.colours import (
 )
 from resc.evaluation.courses import Course
 from resc.evaluation.flights import Flights
+from resc.evaluation.references import Reference
 from resc.evaluation.statistics import SceneReport
 from resc.maps.cells import extent_of, shape_of
 from resc.maps.distance_transform import distance_transform
@@ -36,10 +38,14 @@ CROP_M, MARGIN_M = 6.0, 1.0
 
 @dataclass(frozen=True)
 class Flown:
-    """One scene's course, its flights and their report, and two numbers to draw them with."""
+    """One scene's course, its flights, what each is measured by, their report, two numbers to draw.
+
+    The numbers are the radius of control points and the edge of a map cell.
+    """
 
     course: Course
     flights: Flights
+    references: Sequence[Reference | None]
     report: SceneReport
     column_radius_m: float
     resolution_m: float
@@ -73,6 +79,11 @@ class Panel:
         return east - half, east + half, north - half, north + half
 
     @property
+    def reference(self) -> Reference | None:
+        """The reference that is drawn, that of the first flight."""
+        return self.flown.references[self.shown[0]]
+
+    @property
     def top_speed_mps(self) -> float:
         """Greatest speed [m/s] of the flights shown."""
         return max(float(trace(self.flown.flights, number)[1].max()) for number in self.shown)
@@ -102,6 +113,9 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
     boxes = [Rectangle((bx, by), lx, ly) for bx, by, lx, ly in layout.boxes_w[first].tolist()]
     axes.add_collection(PatchCollection(boxes, facecolor=OBSTACLE, edgecolor="none"))
     _draw_plan(axes, flown.course, first, flown.column_radius_m)
+    if panel.reference:
+        line = panel.reference.fastest.line()
+        axes.plot(*line.T, color=BOUND, linewidth=0.9, zorder=3.5)
     for number in panel.shown:
         position, speed = trace(flown.flights, number)
         pieces = list(np.stack((position[:-1], position[1:]), 1))

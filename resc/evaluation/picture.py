@@ -10,7 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from resc.evaluation.colours import COLLISION, DASHES, LOST, PLAN, SPEED
+from resc.evaluation.colours import BOUND, COLLISION, DASHES, LOST, PLAN, SPEED
 from resc.evaluation.panel import Flown, Panel, draw_panel
 from resc.evaluation.statistics import SceneReport
 
@@ -105,6 +105,8 @@ def _add_legend(figure: Figure, panels: Sequence[Panel]) -> None:
         _mark("o", 6, "start"),
         _mark("*", 11, "goal"),
     ]
+    if any(panel.reference for panel in panels):
+        entries.insert(1, Line2D([], [], color=BOUND, linewidth=0.9, label="time-optimal"))
     failures = {fate for panel in panels for fate in panel.fates}
     if "collision" in failures:
         entries.append(_mark("X", 7, "collision", face=COLLISION, edge="white"))

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from resc.evaluation.courses import Course
 from resc.evaluation.flights import Flights
+from resc.evaluation.references import Reference
 
 Z_95 = 1.959964
 """Two-sided 95 % quantile of the normal distribution."""
@@ -25,7 +26,7 @@ class SceneReport:
     """Numbers of one scene, or of all together; NaN where no flight has the number.
 
     Times, lengths and energy are medians over the flights that arrived; a time that one of them has
-    not counts as endless.
+    not counts as endless. Ratios are medians over those of them that have a reference.
     Clearance, speed, acceleration and limits are over all flights, up to their finish.
     """
 
@@ -42,6 +43,8 @@ class SceneReport:
     path_length_m: float
     planned_length_m: float
     energy_m2ps5: float
+    time_over_bound: float
+    energy_over_smooth: float
     min_clearance_m: float
     median_clearance_m: float
     top_speed_mps: float
@@ -49,8 +52,14 @@ class SceneReport:
     over_limit_share: float
 
 
-def tabulate(course: Course, flights: Flights) -> dict[str, np.ndarray]:
-    """One entry per flight under every column: outcome, steps, metrics."""
+def tabulate(
+    course: Course, flights: Flights, references: Sequence[Reference | None]
+) -> dict[str, np.ndarray]:
+    """One entry per flight under every column: outcome, steps, metrics, what its reference does."""
+    fastest, smooth = (
+        [None if r is None else getattr(r, kind) for r in references]
+        for kind in ("fastest", "smooth")
+    )
     return {
         "scene": np.full(len(flights), course.name),
         "flight": np.arange(len(flights)),
@@ -60,6 +69,8 @@ def tabulate(course: Course, flights: Flights) -> dict[str, np.ndarray]:
         "steps": flights.steps.numpy(),
         "counted_steps": flights.counted.numpy(),
         "planned_length": course.planned_lengths_m,
+        "bound": np.array([math.nan if t is None else t.duration_s for t in fastest]),
+        "smooth_energy": np.array([math.nan if t is None else t.energy_m2ps5 for t in smooth]),
         **{name: values.double().numpy() for name, values in flights.metrics.items()},
     }
 
@@ -87,6 +98,11 @@ def summarise(name: str, table: Columns) -> SceneReport:
     def of(column: str) -> Float[np.ndarray, " n"]:
         return table.get(column, absent)
 
+    def share(column: str, reference: str) -> float:
+        """Median, over the flights that arrived and have a reference, of a number over its own."""
+        has = arrived & np.isfinite(of(reference))
+        return median(of(column)[has] / of(reference)[has])
+
     return SceneReport(
         name=name,
         episodes=count,
@@ -101,6 +117,8 @@ def summarise(name: str, table: Columns) -> SceneReport:
         path_length_m=median(of("path_length")[arrived]),
         planned_length_m=median(table["planned_length"]),
         energy_m2ps5=median(of("energy")[arrived]),
+        time_over_bound=share("time_within_half_metre", "bound"),
+        energy_over_smooth=share("energy", "smooth_energy"),
         min_clearance_m=float(of("least_clearance").min()),
         median_clearance_m=median(of("least_clearance")),
         top_speed_mps=float(of("top_speed").max()),

@@ -23,14 +23,16 @@ ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("path flown [m]", lambda r: _number(r.path_length_m, 2)),
     ("path planned [m]", lambda r: _number(r.planned_length_m, 2)),
     ("energy to 0.5 m [m^2/s^5]", lambda r: _number(r.energy_m2ps5, 0)),
+    ("time / bound", lambda r: _number(r.time_over_bound, 2)),
+    ("energy / smooth reference", lambda r: _number(r.energy_over_smooth, 2)),
     ("least clearance [m]", lambda r: _number(r.min_clearance_m, 2)),
     ("  median flight [m]", lambda r: _number(r.median_clearance_m, 2)),
     ("top speed [m/s]", lambda r: _number(r.top_speed_mps, 2)),
     ("top acceleration [m/s^2]", lambda r: _number(r.top_acceleration_mps2, 2)),
     ("steps over a limit [%]", lambda r: _percent(r.over_limit_share)),
 )
-PER_SCENE = ("time", "path", "energy")
-"""First words of the rows that mean nothing over several scenes."""
+PER_SCENE = ("time to", "path", "energy to")
+"""Beginnings of the rows that mean nothing over several scenes."""
 FOOTNOTES = """\
 Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half
 height is entered. Collision: the centre of mass touches an obstacle. Closer than 0.3 m: what the
@@ -40,7 +42,11 @@ the rules of the training instead. Times, lengths and energy are medians over th
 arrive: time from the start to the first step within 0.5 m (0.2 m) of the goal, path and energy up
 to the success. A flight that never comes within 0.2 m counts as endless there; `-` is an endless
 median, or none. Energy is the integral of squared jerk; jerk is the change of the mean acceleration
-from one control step to the next. Clearance (centre of mass to obstacle surface), speed,
+from one control step to the next. Bound: the time of the fastest flight found for a point mass from
+the scene's start, without jitter, within the limits of `limits`; smooth reference: the flight that
+pays a millisecond for a unit of energy. Both are local optima, stored by
+`python -m resc.evaluation.bound`; the ratios are medians over the flights that arrive and have
+one, `-` without. Clearance (centre of mass to obstacle surface), speed,
 acceleration and limits are over all flights; a step is over a limit above 3 m/s, 6 m/s^2 or
 37.5 deg of roll or pitch.
 """
@@ -57,7 +63,7 @@ def markdown(reports: Sequence[SceneReport]) -> str:
     """The report as a Markdown table, a column per scene, followed by what its rows mean."""
     rows = [["", *(report.name for report in reports)]]
     for label, cell in ROWS:
-        blank = label.split()[0] in PER_SCENE
+        blank = label.startswith(PER_SCENE)
         rows.append([label, *("" if blank and r.name == "all" else cell(r) for r in reports)])
     compared = any(report.name in PUBLISHED for report in reports)
     if compared:
@@ -65,7 +71,7 @@ def markdown(reports: Sequence[SceneReport]) -> str:
             [f"{planner}, published", *(_published(r, planner) for r in reports)]
             for planner in PLANNERS
         ]
-    text = f"{_aligned(rows)}\n{FOOTNOTES}"
+    text = f"{aligned(rows)}\n{FOOTNOTES}"
     return f"{text}\n{PUBLISHED_NOTE}" if compared else text
 
 
@@ -110,7 +116,7 @@ def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> 
         writer.writerows(rows)
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> str:
+def aligned(rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table that reads well as plain text, too."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = [

@@ -1,0 +1,135 @@
+"""How fast physics allows a scene to be flown: references, which every evaluation compares with.
+
+python -m resc.evaluation.bound                                  the paper's four maps
+python -m resc.evaluation.bound 'scenes=[mine]'                  any scene that knows its goal
+python -m resc.evaluation.bound 'scenes=[random_boxes]' flights=50   the maps of 50 flights
+python -m resc.evaluation.bound limits.speed_mps=2.0             other limits
+python -m resc.evaluation.bound 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'
+
+Finds the fastest flight and a smooth one, prints them as a table, draws them, and stores them where
+`python evaluate.py` finds them. It needs casadi: pip install -e '.[bound]'.
+"""
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from resc import schema
+from resc.console import logged
+from resc.errors import ConfigError, PlanningError
+from resc.evaluation.courses import drawn
+from resc.evaluation.reference_picture import draw_references
+from resc.evaluation.references import Reference, crossings, digest, keep, limits_of
+from resc.evaluation.table import aligned
+from resc.launch import compose_scenes, launch_here
+from resc.planning.route import RoutePlanner, planner_for
+from resc.planning.time_optimal import Crossing, Limits, solve, solver
+from resc.planning.visibility_search import PlannedPath
+from resc.process import prepare_process
+from resc.recording.rollouts import provenance
+from resc.run_folder import finish_run
+from resc.settings import check_settings
+
+HEADER = ("scene", "path [m]", "bound [s]", "energy", "smooth [s]", "energy", "solved in [s]")
+NOTE = """\
+Bound: the fastest flight found for a point mass, from rest to within 0.5 m of the goal. Smooth: the
+one that pays a millisecond for a unit of energy, the integral of squared jerk [m^2/s^5]. Both keep
+to the limits of `limits` and are local optima, found from the shortest path of the search.
+"""
+
+Task = tuple[str, Crossing, PlannedPath]
+
+
+def main(config: DictConfig, folder: Path) -> None:
+    """One run in its folder: solve, store, draw, report."""
+    check_settings(config, schema.BoundSchema)
+    prepare_process(config["threads"], config["device"])
+    solver()
+    limits = limits_of(config)
+    planner = planner_for(config)
+    if planner is None:
+        raise ConfigError("search is none, but the path leads the solver; set search=visibility.")
+    tasks = list(find_tasks(compose_scenes(config), config, planner, limits))
+    with logged(folder / "bound.log"):
+        OmegaConf.save(config, folder / "config.yaml")
+        print(bound(tasks, Path(config["references"]) if config["references"] else None, folder))
+
+
+def find_tasks(
+    scenes: Mapping[str, Mapping[str, Any]],
+    config: Mapping[str, Any],
+    planner: RoutePlanner,
+    limits: Limits,
+) -> Iterator[Task]:
+    """Every different map of the scenes, named, and the shortest path from its nominal start.
+
+    Raises:
+        ConfigError: There is no scene, or one lays out its own routes.
+        PlanningError: A start or goal is impossible, or no path joins them.
+    """
+    if not scenes:
+        raise ConfigError("scenes is empty; name at least one file of conf/scene.")
+    for name, node in scenes.items():
+        layout, nominal = drawn(
+            name, node, config["flights"], seed=config["seed"], allowed=config["allowed_targets"]
+        )
+        if (layout.route_length > 0).any():
+            raise ConfigError(
+                f"scene {name} lays out its own routes; a bound is of a scene that knows its goal "
+                "alone, such as paper1_map11."
+            )
+        planned = planner(replace(layout, start_w=nominal), name)
+        different: dict[str, Task] = {}
+        for number, crossing in enumerate(crossings(planned, nominal, limits)):
+            called = f"{name}, flight {number}" if different else name
+            different.setdefault(digest(crossing), (called, crossing, planner.paths[number]))
+        yield from different.values()
+
+
+def bound(tasks: list[Task], stored: Path | None, folder: Path) -> str:
+    """Solves every task and stores each result at once; the report."""
+    rows, found, began = [list(HEADER)], [], time.perf_counter()
+    for name, crossing, path in tasks:
+        try:
+            solved = solve(crossing, path.points_m)
+        except PlanningError as error:
+            raise PlanningError(f"{name}: {error}") from None
+        reference = Reference(name, crossing, path.length_m, solved.fastest, solved.smooth)
+        found.append(keep(reference, stored))
+        rows.append([*_cells(found[-1]), f"{solved.wall_s:.1f}"])
+        print(f"{name}: {reference.fastest.duration_s:.2f} s, after {solved.wall_s:.1f} s of work")
+    draw_references(found, folder / "bound.png")
+    report = f"{aligned(rows)}\n{NOTE}"
+    (folder / "report.md").write_text(report)
+    figures = {
+        "scenes": {
+            r.scene: {
+                "digest": r.digest,
+                "path_m": r.path_m,
+                "bound_s": r.fastest.duration_s,
+                "bound_energy_m2ps5": r.fastest.energy_m2ps5,
+                "smooth_s": r.smooth.duration_s,
+                "smooth_energy_m2ps5": r.smooth.energy_m2ps5,
+            }
+            for r in found
+        },
+        "wall_s": time.perf_counter() - began,
+        **provenance(),
+    }
+    finish_run(folder, figures, "bound")
+    return f"{report}\nreport    {folder / 'report.md'}\npicture   {folder / 'bound.png'}"
+
+
+def _cells(reference: Reference) -> list[str]:
+    flights = (reference.fastest, reference.smooth)
+    pairs = [(f"{flight.duration_s:.2f}", f"{flight.energy_m2ps5:.0f}") for flight in flights]
+    return [reference.scene, f"{reference.path_m:.2f}", *pairs[0], *pairs[1]]
+
+
+if __name__ == "__main__":
+    schema.register()
+    launch_here(main, "bound")

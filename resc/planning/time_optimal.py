@@ -1,0 +1,284 @@
+"""The fastest and a smooth flight of a point mass through obstacles: what others are measured by.
+
+min T + w E over cubic B-splines from rest to the goal, E the integral of squared jerk, subject to
+|v|, |a|, |jerk| within their limits, the margin to every obstacle, and the map. In the time of the
+spline, 0 to 1, position is linear in the control points, so the only unknown beside them is T. A
+point mass stands for the quadrotor: no drag, no attitude, no yaw; the jerk limit stands for its
+tilt rate. What is found is a local optimum: the best way near the path that it started from.
+"""
+
+import os
+import time
+from dataclasses import dataclass
+from math import ceil, hypot
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from resc.errors import ConfigError, PlanningError
+from resc.planning.trajectory import Trajectory, slope_weights, weights
+from resc.quantities import NotNegative, Positive
+
+ARRIVAL_M = 0.5
+"""Distance to the goal at which the clock stops, as in the metric time_within_half_metre."""
+SMOOTH = 1e-3
+"""Seconds that a unit of energy [m^2/s^5] may cost the smooth reference."""
+FASTEST = 1e-6
+"""The same where only time counts: enough to choose one of many flights equally fast."""
+SUBPOINTS = 4
+"""Points of an interval that keep clear."""
+SLACK_M = 0.0025
+"""Added to the margin: how much nearer a flight may come between those points (chord of an arc)."""
+ROUNDS = (3, 0, 20)
+"""How often the path's corners are rounded for the start of the solver, one try after another."""
+RAMP = 0.3
+"""Share of the duration in which the start of the solver gains speed."""
+_OPTIONS = {
+    "print_time": False,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.mu_strategy": "adaptive",
+    "ipopt.max_iter": 500,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What a reference keeps to.
+
+    Args:
+        speed_mps: Greatest |v|.
+        acceleration_mps2: Greatest |a|.
+        jerk_mps3: Greatest |jerk|.
+        margin_m: Least distance of the centre of mass to an obstacle's surface.
+    """
+
+    speed_mps: Positive
+    acceleration_mps2: Positive
+    jerk_mps3: Positive
+    margin_m: NotNegative
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crossing:
+    """What a reference is for: obstacles, map, start, goal, limits; plain numbers in metres.
+
+    Boxes are columns `[x, y, len_x, len_y]` from the lower-left corner.
+    """
+
+    boxes: tuple[tuple[float, ...], ...]
+    origin_m: tuple[float, ...]
+    size_m: tuple[float, ...]
+    start_m: tuple[float, ...]
+    goal_m: tuple[float, ...]
+    limits: Limits
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The two references of a crossing, and the seconds that they took."""
+
+    fastest: Trajectory
+    smooth: Trajectory
+    wall_s: float
+
+
+def solver() -> ModuleType:
+    """The module casadi.
+
+    Raises:
+        ConfigError: It is not installed.
+    """
+    # Its algebra would start a thread for every core, which only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    try:
+        import casadi
+    except ImportError:
+        raise ConfigError(
+            "The bound is solved by casadi, which is not installed; install it with: "
+            "pip install -e '.[bound]'."
+        ) from None
+    return casadi
+
+
+def solve(
+    crossing: Crossing, path_m: Float[np.ndarray, "v 2"], intervals: int | None = None
+) -> Solved:
+    """The smooth flight, and the fastest one near it.
+
+    Args:
+        crossing: Obstacles, ends and limits.
+        path_m: Polyline from the start to the goal, which leads the solver; best the shortest path.
+        intervals: Pieces of the splines; 3.5 for every metre of the path, at least 50, if not
+            given.
+
+    Raises:
+        ConfigError: casadi is not installed.
+        PlanningError: The start is too near to an obstacle or to the goal, or nothing was found.
+    """
+    began = time.perf_counter()
+    _require_room(crossing)
+    length = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
+    task = _Task(crossing, intervals or max(50, ceil(3.5 * length)))
+    for rounds in ROUNDS:
+        smooth = task.solve(SMOOTH, task.guess(path_m, rounds))
+        fastest = None if smooth is None else task.solve(FASTEST, smooth)
+        if smooth is not None and fastest is not None:
+            found = task.trajectory(fastest), task.trajectory(smooth)
+            return Solved(*found, wall_s=time.perf_counter() - began)
+    limits = crossing.limits
+    raise PlanningError(
+        f"No flight was found that follows the path of {length:.1f} m and keeps "
+        f"{limits.margin_m:g} m from every surface; lower limits.margin_m, or raise "
+        "search.clearance_m so that the path leaves more room."
+    )
+
+
+def outside_box(
+    ca: ModuleType,
+    points: Any,  # noqa: ANN401 - an expression of casadi, 2 x points
+    box: tuple[float, ...],
+    reach_m: float,
+) -> Any:  # noqa: ANN401
+    """Squared distance of points to a box less the squared reach [m^2]; another shape is another.
+
+    Exact and, outside the box, with a continuous derivative.
+    """
+    x, y, length_x, length_y = box
+    beside_x = ca.fmax(ca.fabs(points[0, :] - x - length_x / 2) - length_x / 2, 0)
+    beside_y = ca.fmax(ca.fabs(points[1, :] - y - length_y / 2) - length_y / 2, 0)
+    return beside_x**2 + beside_y**2 - reach_m**2
+
+
+def _require_room(crossing: Crossing) -> None:
+    """Refuses a start that no flight of this kind can leave, or need not."""
+    start, goal = np.array(crossing.start_m), np.array(crossing.goal_m)
+    far = float(np.linalg.norm(goal - start))
+    shown = f"The start ({start[0]:g}, {start[1]:g}) m"
+    if far <= ARRIVAL_M:
+        raise PlanningError(
+            f"{shown} is {far:g} m from the goal, and within {ARRIVAL_M:g} m a flight has arrived; "
+            "move them apart."
+        )
+    margin = crossing.limits.margin_m
+    for x, y, length_x, length_y in crossing.boxes:
+        beside = (
+            max(x - start[0], start[0] - x - length_x, 0.0),
+            max(y - start[1], start[1] - y - length_y, 0.0),
+        )
+        if hypot(*beside) < margin + SLACK_M:
+            raise PlanningError(
+                f"{shown} is {hypot(*beside):.3g} m from an obstacle, and the reference keeps "
+                f"{margin:g} m; move the start or lower limits.margin_m."
+            )
+
+
+class _Task:
+    """One crossing as a nonlinear programme of so many intervals, level if its ends are."""
+
+    def __init__(self, crossing: Crossing, intervals: int) -> None:
+        self.ca = solver()
+        self.crossing, self.intervals = crossing, intervals
+        level = crossing.start_m[2] == crossing.goal_m[2]
+        self.axes = 2 if level else 3
+        self._expressions: list[Any] = []
+        self._low: list[Any] = []
+        self._high: list[Any] = []
+        self.control = self.ca.SX.sym("control", self.axes, intervals + 3)
+        self.duration = self.ca.SX.sym("duration")
+        self._limit_motion()
+        self._keep_clear()
+
+    def guess(self, path_m: Float[np.ndarray, "v 2"], rounds: int) -> Float[np.ndarray, " u"]:
+        """Unknowns that follow the path, from rest and with time to spare, corners rounded."""
+        limits, ends = self.crossing.limits, (self.crossing.start_m[2], self.crossing.goal_m[2])
+        along = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(path_m, axis=0).T))])
+        speed = np.minimum(np.arange(self.intervals) / (RAMP * self.intervals), 1.0)
+        at = np.concatenate([[0, 0, 0], np.cumsum(speed) / speed.sum() * along[-1]])
+        rise = np.interp(at, [0, along[-1]], ends)
+        control = np.stack([*(np.interp(at, along, axis) for axis in path_m.T), rise], 1)
+        for _ in range(rounds):
+            control[3:-1] = (control[2:-2] + 2 * control[3:-1] + control[4:]) / 4
+        least = (
+            along[-1] / limits.speed_mps,
+            (2 * along[-1] / limits.acceleration_mps2) ** (1 / 2),
+            (6 * along[-1] / limits.jerk_mps3) ** (1 / 3),
+        )
+        return np.append(control[:, : self.axes], 2 * max(least))
+
+    def solve(
+        self, weight: float, guess: Float[np.ndarray, " u"]
+    ) -> Float[np.ndarray, " u"] | None:
+        """The unknowns of a local optimum of T + weight E; None if the solver found none."""
+        ca = self.ca
+        unknowns = ca.vertcat(ca.vec(self.control), self.duration)
+        low = np.full(unknowns.numel(), -np.inf)
+        high = -low
+        at_rest = slice(0, 3 * self.axes)
+        low[at_rest] = high[at_rest] = np.tile(self.crossing.start_m[: self.axes], 3)
+        low[-1] = 1e-2
+        programme = {
+            "x": unknowns,
+            "f": self.duration + weight * self._energy(),
+            "g": ca.vertcat(*self._expressions),
+        }
+        ipopt = ca.nlpsol("reference", "ipopt", programme, _OPTIONS)
+        bounds = {"lbg": np.concatenate(self._low), "ubg": np.concatenate(self._high)}
+        found = ipopt(x0=guess, lbx=low, ubx=high, **bounds)
+        return np.array(found["x"]).ravel() if ipopt.stats()["success"] else None
+
+    def trajectory(self, unknowns: Float[np.ndarray, " u"]) -> Trajectory:
+        """The flight that the unknowns describe, in three axes."""
+        control = np.empty((self.intervals + 3, 3))
+        control[:, 2] = self.crossing.start_m[2]
+        control[:, : self.axes] = unknowns[:-1].reshape(-1, self.axes)
+        return Trajectory(float(unknowns[-1]), control)
+
+    def _limit_motion(self) -> None:
+        """Speed at the ends and middles of intervals, acceleration at the ends, all of jerk."""
+        limits, rate = self.crossing.limits, self.intervals / self.duration
+        for share in (0.5, 1.0):
+            self._bound(self._speed(share), limits.speed_mps / rate)
+        bend = self._difference(2)
+        self._bound(bend[:, 1:], limits.acceleration_mps2 / rate**2)
+        self._bound(self._difference(3), limits.jerk_mps3 / rate**3)
+
+    def _keep_clear(self) -> None:
+        """The margin to every obstacle, the map, and the arrival."""
+        ca, crossing = self.ca, self.crossing
+        shares = np.arange(1, SUBPOINTS + 1) / SUBPOINTS
+        points = ca.horzcat(*(self._weighted(weights(share)) for share in shares))
+        for box in crossing.boxes:
+            self._add(outside_box(ca, points, box, crossing.limits.margin_m + SLACK_M), 0.0, np.inf)
+        ends = self._weighted(weights(1.0))
+        for axis, (low, size) in enumerate(zip(crossing.origin_m, crossing.size_m, strict=True)):
+            self._add(ends[axis, :], low, low + size)
+        short = ends[:, -1] - ca.DM(crossing.goal_m[: self.axes])
+        self._add(ca.sumsqr(short) / ARRIVAL_M**2, -np.inf, 1.0)
+
+    def _energy(self) -> Any:  # noqa: ANN401 - an expression, as below
+        return self.ca.sumsqr(self._difference(3)) * (self.intervals / self.duration) ** 5
+
+    def _speed(self, share: float) -> Any:  # noqa: ANN401
+        return self._weighted(slope_weights(share))
+
+    def _weighted(self, four: Float[np.ndarray, " 4"]) -> Any:  # noqa: ANN401
+        shifted = (self.control[:, i : i + self.intervals] for i in range(4))
+        return sum(float(w) * part for w, part in zip(four, shifted, strict=True))
+
+    def _difference(self, order: int) -> Any:  # noqa: ANN401
+        found = self.control
+        for _ in range(order):
+            found = found[:, 1:] - found[:, :-1]
+        return found
+
+    def _bound(self, vectors: Any, greatest: Any) -> None:  # noqa: ANN401
+        """|vector| <= greatest, for each column."""
+        self._add(self.ca.sum1(vectors**2) / greatest**2, -np.inf, 1.0)
+
+    def _add(self, expression: Any, low: float, high: float) -> None:  # noqa: ANN401
+        self._expressions.append(self.ca.vec(expression))
+        self._low.append(np.full(expression.numel(), low))
+        self._high.append(np.full(expression.numel(), high))
