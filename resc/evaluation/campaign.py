@@ -100,9 +100,7 @@ def evaluate(
     return f"{text}\n{_left_in(folder, told)}"
 
 
-def references_of(
-    course: Course, limits: Limits, references: References
-) -> list[Reference | None]:
+def references_of(course: Course, limits: Limits, references: References) -> list[Reference | None]:
     """The reference of every flight; none where nothing is stored for its scene and limits."""
     if course.own_routes:
         return [None] * len(course)

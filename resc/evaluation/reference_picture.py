@@ -49,9 +49,7 @@ def _draw(axes: Axes, reference: Reference, norm: Normalize) -> LineCollection:
     crossing = reference.crossing
     boxes = [Rectangle((x, y), w, h) for x, y, w, h in crossing.boxes]
     axes.add_collection(PatchCollection(boxes, facecolor=OBSTACLE, edgecolor="none"))
-    position, velocity, _ = reference.fastest.at(
-        np.linspace(0, reference.fastest.duration_s, 200)
-    )
+    position, velocity, _ = reference.fastest.at(np.linspace(0, reference.fastest.duration_s, 200))
     pieces = list(np.stack((position[:-1, :2], position[1:, :2]), 1))
     lines = LineCollection(pieces, cmap=SPEED, norm=norm, linewidths=1.8, capstyle="round")
     lines.set_array(np.linalg.norm(velocity[1:], axis=1))

@@ -53,19 +53,19 @@ class Trajectory:
         return self.at(np.linspace(0, self.duration_s, points))[0][:, :2]
 
 
-def weights(share: float | Float[np.ndarray, " t"]) -> Float[np.ndarray, "4 *t"]:
+def weights(share: float | Float[np.ndarray, " t"]) -> Float[np.ndarray, "4 ..."]:
     """Weights of the four control points at a share, 0 to 1, of an interval."""
     s = np.asarray(share, dtype=np.float64)
     return np.array([(1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, 3 * (s + s**2 - s**3) + 1, s**3]) / 6
 
 
-def slope_weights(share: float | Float[np.ndarray, " t"]) -> Float[np.ndarray, "4 *t"]:
+def slope_weights(share: float | Float[np.ndarray, " t"]) -> Float[np.ndarray, "4 ..."]:
     """Derivative of the weights by the share."""
     s = np.asarray(share, dtype=np.float64)
     return np.array([-((1 - s) ** 2), 3 * s**2 - 4 * s, 1 + 2 * s - 3 * s**2, s**2]) / 2
 
 
-def bend_weights(share: float | Float[np.ndarray, " t"]) -> Float[np.ndarray, "4 *t"]:
+def bend_weights(share: float | Float[np.ndarray, " t"]) -> Float[np.ndarray, "4 ..."]:
     """Second derivative of the weights by the share."""
     s = np.asarray(share, dtype=np.float64)
     return np.array([1 - s, 3 * s - 2, 1 - 3 * s, s])

@@ -3,6 +3,7 @@
 import csv
 import json
 
+import numpy as np
 import pytest
 from matplotlib import pyplot as plt
 from mcap.reader import make_reader
@@ -10,7 +11,10 @@ from omegaconf import OmegaConf
 
 from resc.errors import CheckpointError, ConfigError
 from resc.evaluation.campaign import evaluate
+from resc.evaluation.courses import drawn
+from resc.evaluation.references import Reference, crossings, keep, limits_of
 from resc.learning.checkpoint import Policy
+from resc.planning.trajectory import Trajectory
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import digest
 
@@ -38,7 +42,13 @@ SCENES = {
 def run(evaluation, policy, tmp_path_factory):
     """Two flights in each of two scenes: the folder, and what was printed."""
     folder = tmp_path_factory.mktemp("evaluation") / "runs" / "2025-11-22" / "10-00-00_evaluate"
-    config = evaluation("flights=2", "policy=somewhere", "recorder=mcap", "seed=4")
+    stored = folder.parents[2] / "references.json"
+    small = ["flights=2", "policy=somewhere", "recorder=mcap", "seed=4"]
+    config = evaluation(*small, f"references={stored}")
+    layout, nominal = drawn("corridor", SCENES["corridor"], 1, seed=4)
+    flight = Trajectory(0.5, np.linspace([1.0, 2.2, 1.0], [3.0, 2.2, 1.0], 9) ** 1.5)
+    crossing = crossings(layout, nominal, limits_of(config))[0]
+    keep(Reference("corridor", crossing, 2.0, flight, flight), stored)
     return folder, evaluate(config, policy, SCENES, folder, ["flights=2", "seed=4"])
 
 
@@ -54,6 +64,23 @@ def test_summary_counts_frames_and_scenes(run):
     assert summary["scenes"]["corridor"]["success_rate"] == 1.0
     assert summary["scenes"]["corridor"]["time_span_s"] == pytest.approx(1.5, abs=0.5)
     assert (summary["seed"], summary["policy"]) == (4, "somewhere")
+
+
+def test_flights_are_measured_by_the_reference_of_their_scene(run):
+    folder, text = run
+    scenes = json.loads((folder / "summary.json").read_text())["scenes"]
+    corridor = scenes["corridor"]
+    assert corridor["time_over_bound"] == pytest.approx(corridor["time_span_s"] / 0.5, rel=1e-4)
+    assert corridor["energy_over_smooth"] > 0
+    assert scenes["laid_out"]["time_over_bound"] is None
+    with (folder / "scenes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[0]["time_over_bound"]) == pytest.approx(corridor["time_over_bound"])
+    (row,) = (line for line in text.splitlines() if line.startswith("| time / bound"))
+    assert [cell.strip() for cell in row.split("|")[2:4]] == [
+        f"{corridor['time_over_bound']:.2f}",
+        "-",
+    ]
 
 
 def test_printed_report_is_the_stored_one_and_names_the_files(run):

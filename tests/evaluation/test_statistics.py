@@ -55,6 +55,13 @@ def test_rates_count_every_flight():
     assert report.over_limit_share == pytest.approx(10 / 2150)
 
 
+def test_ratios_are_medians_over_the_flights_that_arrive_and_have_a_reference():
+    some = {"bound": [math.nan, 0.7, 0.1, 0.1], "smooth_energy": [math.nan, 100.0, 1.0, 1.0]}
+    report = summarise("one", table(**some))
+    assert (report.time_over_bound, report.energy_over_smooth) == pytest.approx((2.0, 3.0))
+    assert math.isnan(summarise("one", table()).time_over_bound)
+
+
 def test_times_lengths_and_energy_are_of_flights_that_arrive():
     report = summarise("one", table())
     assert report.time_span_s == pytest.approx(1.2)

@@ -29,6 +29,15 @@ def test_table_has_a_column_for_every_scene(reports):
     assert cells(text, "time to 0.5 m [s]") == ["1.20", "1.20", ""]
 
 
+def test_ratios_stand_beside_scenes_with_a_reference_and_over_all():
+    known = table("known", bound=[0.5] * 4, smooth_energy=[100.0] * 4)
+    other = table("other", bound=[math.nan] * 4, smooth_energy=[math.nan] * 4)
+    found = report_scenes([known, other])
+    assert cells(markdown(found), "time / bound") == ["2.40", "-", "2.40"]
+    assert cells(markdown(found), "energy / smooth reference") == ["2.00", "-", "2.00"]
+    assert summary(found)["scenes"]["known"]["time_over_bound"] == pytest.approx(2.4)
+
+
 def test_columns_of_the_table_are_aligned(reports):
     lines = [line for line in markdown(reports).splitlines() if line.startswith("|")]
     assert len({len(line) for line in lines}) == 1

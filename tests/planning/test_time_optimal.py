@@ -54,32 +54,34 @@ def test_ramp_of_limited_jerk_and_cruise_takes_the_time_of_its_closed_form():
 
 
 @solving
-def test_short_flight_at_the_greatest_jerk_takes_the_time_of_its_closed_form():
+def test_flight_at_the_greatest_jerk_takes_the_time_of_its_closed_form():
     """j t^3 / 6."""
-    found = straight(towards(0.08), intervals=20).fastest
-    assert found.duration_s == pytest.approx((6 * 0.08 / 20) ** (1 / 3), rel=0.01)
+    endless = {"speed_mps": 100.0, "acceleration_mps2": 100.0}
+    found = straight(towards(9.5, **endless)).fastest
+    assert found.duration_s == pytest.approx((6 * 9.5 / 20) ** (1 / 3), rel=0.01)
 
 
 @solving
-def test_short_flight_at_the_greatest_acceleration_takes_the_time_of_its_closed_form():
+def test_flight_at_the_greatest_acceleration_takes_the_time_of_its_closed_form():
     """a t^2 / 2."""
-    found = straight(towards(0.5, jerk_mps3=1e4), intervals=40).fastest
-    assert found.duration_s == pytest.approx(math.sqrt(2 * 0.5 / 6), rel=0.01)
+    found = straight(towards(9.5, speed_mps=100.0, jerk_mps3=1e4), intervals=100).fastest
+    assert found.duration_s == pytest.approx(math.sqrt(2 * 9.5 / 6), rel=0.01)
 
 
 @solving
 def test_smooth_flight_is_slower_than_the_fastest_and_needs_less_energy():
     found = straight(EMPTY)
     assert found.smooth.duration_s > found.fastest.duration_s
-    assert found.smooth.energy_m2ps5 < 0.5 * found.fastest.energy_m2ps5
+    assert found.smooth.energy_m2ps5 < 0.7 * found.fastest.energy_m2ps5
 
 
 @solving
+@pytest.mark.slow
 def test_goal_at_another_height_is_reached_in_space():
-    found = straight(replace(EMPTY, goal_m=(3.0, 2.0, 1.8)), intervals=30).fastest
+    found = straight(replace(EMPTY, goal_m=(6.0, 2.0, 1.8))).fastest
     end = found.at(np.array([found.duration_s]))[0][0]
-    assert np.linalg.norm(end - [3.0, 2.0, 1.8]) == pytest.approx(ARRIVAL_M, abs=1e-4)
-    assert end[2] > 1.2
+    assert np.linalg.norm(end - [6.0, 2.0, 1.8]) == pytest.approx(ARRIVAL_M, abs=1e-4)
+    assert end[2] > 1.4
 
 
 @solving

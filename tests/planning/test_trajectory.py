@@ -25,7 +25,9 @@ def test_velocity_acceleration_and_jerk_are_the_derivatives_across_the_intervals
     times = np.linspace(0, 2.0, 200_001)
     position, velocity, acceleration = flight.at(times)
     for rate, of in ((velocity, position), (acceleration, velocity)):
-        np.testing.assert_allclose(np.diff(of, axis=0) / 1e-5, (rate[1:] + rate[:-1]) / 2, atol=1e-3)
+        np.testing.assert_allclose(
+            np.diff(of, axis=0) / 1e-5, (rate[1:] + rate[:-1]) / 2, atol=1e-3
+        )
     slope = np.diff(acceleration, axis=0)[20_000::40_000] / 1e-5
     np.testing.assert_allclose(slope, flight.jerk_mps3, rtol=1e-6)
 
