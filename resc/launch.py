@@ -306,10 +306,10 @@ def compose_scenes(config: DictConfig) -> dict[str, dict[str, Any]]:
         if times > 1:
             raise ConfigError(f"scenes names '{name}' {times} times; raise flights instead.")
         node = compose(hydra_config.job.config_name, [*search, f"+scene={name}"])["scene"]
-        own, given = (
-            OmegaConf.to_container(part, resolve=True) for part in (node, config["scene"])
-        )
-        scenes[name] = {**own, **given}
+        scenes[name] = {
+            **cast(dict[str, Any], OmegaConf.to_container(node, resolve=True)),
+            **cast(dict[str, Any], OmegaConf.to_container(config["scene"], resolve=True)),
+        }
     return scenes
 
 

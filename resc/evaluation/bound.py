@@ -74,8 +74,9 @@ def find_tasks(
     if not scenes:
         raise ConfigError("scenes is empty; name at least one file of conf/scene.")
     for name, node in scenes.items():
+        drawing = {key: config[key] for key in ("flights", "seed")}
         layout, nominal = drawn(
-            name, node, config["flights"], seed=config["seed"], allowed=config["allowed_targets"]
+            name, node, **drawing, planner=planner, allowed=config["allowed_targets"]
         )
         if (layout.route_length > 0).any():
             raise ConfigError(
@@ -92,7 +93,9 @@ def find_tasks(
 
 def bound(tasks: list[Task], stored: Path | None, folder: Path) -> str:
     """Solves every task and stores each result at once; the report."""
-    rows, found, began = [list(HEADER)], [], time.perf_counter()
+    rows: list[list[str]] = [[*HEADER]]
+    found: list[Reference] = []
+    began = time.perf_counter()
     for name, crossing, path in tasks:
         try:
             solved = solve(crossing, path.points_m)

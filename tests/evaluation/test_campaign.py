@@ -45,7 +45,7 @@ def run(evaluation, policy, tmp_path_factory):
     stored = folder.parents[2] / "references.json"
     small = ["flights=2", "policy=somewhere", "recorder=mcap", "seed=4"]
     config = evaluation(*small, f"references={stored}")
-    layout, nominal = drawn("corridor", SCENES["corridor"], 1, seed=4)
+    layout, nominal = drawn("corridor", SCENES["corridor"], 1, seed=4, planner=None)
     flight = Trajectory(0.5, np.linspace([1.0, 2.2, 1.0], [3.0, 2.2, 1.0], 9) ** 1.5)
     crossing = crossings(layout, nominal, limits_of(config))[0]
     keep(Reference("corridor", crossing, 2.0, flight, flight), stored)
