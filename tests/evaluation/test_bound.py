@@ -8,13 +8,21 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import CORRIDOR
 
 from resc.errors import ConfigError, PlanningError
 from resc.evaluation.bound import bound, find_tasks
 from resc.evaluation.references import limits_of, read_references
 
 ROOT = Path(__file__).parents[2]
+CORRIDOR = {
+    "_target_": "resc.scenes.named.NamedScene",
+    "boxes": [[0.0, 3.0, 6.0, 0.5], [2.5, 0.0, 0.5, 1.5]],
+    "start_m": [1.0, 1.0, 1.0],
+    "goal_m": [4.5, 1.0, 1.0],
+    "origin_m": [0.0, 0.0],
+    "size_m": [6.0, 4.0],
+    "jitter_m": 0.05,
+}
 BOXES = {"_target_": "resc.scenes.random_boxes.RandomBoxes", "boxes": 20, "jitter_m": 0.1}
 FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
 
