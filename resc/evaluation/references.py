@@ -9,10 +9,11 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
+from omegaconf import OmegaConf
 from omegaconf.errors import InterpolationKeyError
 from torch import Tensor
 
@@ -65,13 +66,15 @@ def limits_of(config: Mapping[str, Any]) -> Limits:
     Raises:
         ConfigError: One is missing or out of range.
     """
+    node = config["limits"]
     try:
-        return build(config["limits"], "limits")
+        node = OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
     except InterpolationKeyError:
         raise ConfigError(
             "limits.speed_mps and limits.acceleration_mps2 follow sensor.limit_violations, which "
             "is left out; give them as numbers: limits.speed_mps=3.0 limits.acceleration_mps2=6.0"
         ) from None
+    return build(cast(Mapping[str, Any], node), "limits")
 
 
 def crossings(layout: Layout, nominal_w: Float[Tensor, "p 3"], limits: Limits) -> list[Crossing]:
