@@ -13,7 +13,7 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
 from resc.console import logged
@@ -23,7 +23,10 @@ from resc.launch import answering, compose_scenes, launch, refuse_doubles
 from resc.learning.checkpoint import load_policy
 from resc.process import prepare_process
 from resc.run_folder import LATEST, claimed, latest
-from resc.settings import check_settings
+from resc.settings import check_settings, refuse_beside
+
+REPLAYED = ("replay", "allowed_targets", "threads", "name")
+"""Settings that a replay heeds; all others are the recording's."""
 
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="evaluate")
@@ -34,8 +37,10 @@ def main(config: DictConfig) -> None:
     with answering(), claimed(folder):
         refuse_doubles()
         check_settings(config, schema.EvaluateSchema)
+        OmegaConf.resolve(config)
         prepare_process(config["threads"], config["device"])
         if config["replay"]:
+            refuse_beside(overrides, REPLAYED, "replay")
             print(replay(config["replay"], folder, allowed=allowed))
             return
         scenes = compose_scenes(config)

@@ -51,6 +51,7 @@ def main(config: DictConfig) -> None:
     with answering(), claimed(folder, resumes=bool(config["resume"])):
         refuse_doubles()
         check_settings(config, schema.TrainSchema)
+        OmegaConf.resolve(config)
         if config["resume"]:
             config = resumed(config, overrides, folder)
             summary = summary_of(folder)

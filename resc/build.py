@@ -17,7 +17,7 @@ from yaml import YAMLError
 
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
-from resc.errors import ConfigError, nearest, shown
+from resc.errors import ConfigError, RescError, nearest, shown
 from resc.maps.cells import require_room
 from resc.math.sampling import generator_for
 from resc.quantities import checked
@@ -85,8 +85,8 @@ def build(
         )
     try:
         made = target(**arguments, **extra)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
+    except RescError as error:
+        raise type(error)(f"{path}: {error}") from None
     except Exception as error:  # whatever a user's class raises is theirs to know
         raise ConfigError(
             f"{path} cannot be built: {target.__name__} raises {_reason(error)}."

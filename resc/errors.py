@@ -20,6 +20,10 @@ class RecordingError(RescError):
     """A recording that cannot be written or read."""
 
 
+class TermError(RescError):
+    """A term whose equation cannot be computed."""
+
+
 class CheckpointError(RescError):
     """A checkpoint or policy that is damaged or does not fit the environment."""
 

@@ -212,7 +212,7 @@ class Runner:
             finally:
                 self.children.discard(child)
         wall_s = time.monotonic() - began
-        if code == 0 and job.finished:
+        if job.finished:  # also where a signal came as it ended
             return Outcome(job, "finished", f"{success_of(job)} in {wall_s:.0f} s")
         with (job.folder / LOG).open(errors="replace") as log:
             log.seek(start)

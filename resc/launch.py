@@ -144,8 +144,10 @@ def answering() -> Iterator[None]:
     except BrokenPipeError:  # the reader of the output, such as head, has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
-    except (RescError, OSError) as error:
+    except (RescError, OSError, OmegaConfBaseException) as error:
         told = str(error)
+        if isinstance(error, OmegaConfBaseException):
+            told = f"{told.partition(chr(10))[0]} ({error.full_key})"
         if isinstance(error, OSError) and error.filename is not None:
             told = f"{error.filename} cannot be used ({error.strerror}); give another, or mend it."
         sys.exit("\n".join([f"error: {told}", *getattr(error, "__notes__", [])]))

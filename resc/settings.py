@@ -3,6 +3,8 @@
 Parts check their own numbers where they are built (`resc.build`).
 """
 
+import hashlib
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
@@ -79,6 +81,16 @@ def typed(stored: DictConfig, schema: type[RunSchema], path: Path) -> DictConfig
     return config
 
 
+def fingerprint(config: DictConfig) -> str:
+    """SHA-256 of what a run is made with: its configuration without what going on may change.
+
+    It is stored with weights, so that those of one run are not taken for another's.
+    """
+    plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    made = {name: value for name, value in plain.items() if name not in (*RESUMABLE, "resume")}
+    return hashlib.sha256(json.dumps(made, sort_keys=True, default=str).encode()).hexdigest()
+
+
 def _refuse_unknown(given: Iterable[str], known: Iterable[str], prefix: str) -> None:
     for name in given:
         if name not in known:
@@ -105,6 +117,20 @@ def honoured(overrides: Sequence[str], made_with: Sequence[str], folder: Path) -
             f"{', '.join(RESUMABLE)} anew. Go on with: {go_on(folder)}"
         )
     return [key for key in keys.values() if key in RESUMABLE]
+
+
+def refuse_beside(overrides: Sequence[str], heeded: Sequence[str], mode: str) -> None:
+    """Refuses overrides that have no effect in a mode.
+
+    Raises:
+        ConfigError: It names them, and those that have.
+    """
+    keys = {text: text.lstrip("+~").partition("=")[0].partition(".")[0] for text in overrides}
+    if idle := [text for text, key in keys.items() if key not in heeded]:
+        raise ConfigError(
+            f"{', '.join(idle)} changes nothing about a {mode}, which heeds only "
+            f"{', '.join(heeded)}; leave it out."
+        )
 
 
 def listed(value: Any) -> list[str]:  # noqa: ANN401 - as a configuration holds it

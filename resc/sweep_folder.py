@@ -123,8 +123,16 @@ def require_as_begun(folder: Path) -> None:
 
 
 def plain(config: Any) -> Any:  # noqa: ANN401 - any configuration
-    """A configuration as data that JSON can hold; interpolations stay as they are written."""
-    data = OmegaConf.to_container(config) if OmegaConf.is_config(config) else config
+    """A configuration as data that JSON can hold.
+
+    Interpolations are resolved; all stay as they are written where one of them cannot be.
+    """
+    try:
+        data = (
+            OmegaConf.to_container(config, resolve=True) if OmegaConf.is_config(config) else config
+        )
+    except OmegaConfBaseException:
+        data = OmegaConf.to_container(config)
     return json.loads(json.dumps(data, default=str), parse_constant=str)
 
 

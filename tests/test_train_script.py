@@ -1,6 +1,7 @@
 """A run's life as train.py has it: begun once, gone on with as it was, evaluated, counted."""
 
 import json
+import os
 import shutil
 
 import pytest
@@ -9,7 +10,7 @@ from omegaconf import OmegaConf
 from test_ppo import SMALL
 
 import train as script
-from resc.errors import ConfigError
+from resc.errors import CheckpointError, ConfigError, TermError
 from resc.evaluation.held_out import read_episodes
 from resc.launch import in_its_folder, resumed_sweep
 from resc.learning.assemble import resumed
@@ -121,6 +122,66 @@ def test_damaged_configuration_is_one_sentence(compose, own, line, sentence):
     (own / "config.yaml").write_text("\n".join([*kept, line]))
     with pytest.raises(ConfigError, match=sentence):
         go_on(compose, own)
+
+
+@pytest.mark.parametrize("name", ["checkpoint.pt", "config.yaml", "summary.json"])
+def test_file_of_another_run_is_refused(compose, own, tmp_path, name):
+    other = tmp_path / "other"
+    other.mkdir()
+    script.run(compose(*RUN, "seed=1"), other, [])
+    (other / name).replace(own / name)
+    with pytest.raises((ConfigError, CheckpointError), match="other settings than"):
+        script.run(go_on(compose, own, "total_frames=512"), own, [])
+
+
+def test_policy_of_another_run_is_refused(compose, own, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    script.run(compose(*RUN, "seed=1"), other, [])
+    (other / "policy.pt").replace(own / "policy.pt")
+    with pytest.raises(CheckpointError, match="other settings than"):
+        load_policy(own)
+
+
+def test_stored_configuration_is_resolved(compose, tmp_path, monkeypatch):
+    monkeypatch.setenv("WEIGHT", "3")
+    config = compose(*RUN)
+    config["reward"]["time"]["weight"] = "${oc.decode:${oc.env:WEIGHT}}"
+    OmegaConf.resolve(config)
+    script.run(config, tmp_path, RUN)
+    monkeypatch.setenv("WEIGHT", "9")
+    assert OmegaConf.load(tmp_path / "config.yaml")["reward"]["time"]["weight"] == 3
+
+
+def test_term_that_fails_later_is_named_and_leaves_the_policy(compose, tmp_path, monkeypatch):
+    (tmp_path / "late.py").write_text(
+        "from resc.terms.rewards.time import Time\n"
+        "class Late(Time):\n"
+        "    calls = 0\n"
+        "    def compute(self, *tensors):\n"
+        "        Late.calls += 1\n"
+        "        if Late.calls > 20:\n"
+        "            raise ValueError('late boom')\n"
+        "        return super().compute(*tensors)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    own = ("reward.time._target_=late.Late", "allowed_targets=[late.]")
+    (tmp_path / "run").mkdir()
+    with pytest.raises(TermError) as raised:
+        script.run(compose(*RUN, *own), tmp_path / "run", [])
+    assert str(raised.value).startswith("reward.time cannot be computed in step")
+    assert "ValueError: late boom" in str(raised.value)
+    assert load_policy(tmp_path / "run").layout
+
+
+def test_full_disk_leaves_the_policy_and_no_half_of_a_checkpoint(compose, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(CheckpointError, match=r"checkpoint.pt cannot be written .No space left"):
+        script.run(compose(*RUN, "recorder=none"), tmp_path, [])
+    assert not list(tmp_path.glob("*.tmp"))
 
 
 def test_threads_and_checkpoints_of_a_resumed_run_are_those_of_the_command_line(compose, finished):
@@ -240,6 +301,7 @@ def test_held_out_flights_that_cannot_be_are_refused_before_training(
         ("total_frames=0", "total_frames is 0; expected at least 1."),
         ("total_frames=-5", "total_frames is -5"),
         ("seed=-1", "seed is -1; expected 0 to"),
+        ("threads=0", "threads is 0; expected at least 1."),
         ("evaluation_seed=-1", "evaluation_seed is -1"),
         ("num_envs=0", "num_envs is 0"),
         ("checkpoint_every_s=0", "checkpoint_every_s is 0.0"),
@@ -273,7 +335,7 @@ def test_latest_run_of_a_sweep_resumes_the_sweep(tmp_path, monkeypatch):
     run = tmp_path / "runs" / "sweep" / "1"
     run.mkdir(parents=True)
     (run / "job.json").write_text('{"overrides": []}')
-    (run.parent / "multirun.yaml").write_text("hydra: {overrides: {hydra: [], task: [seed=0]}}")
+    (run.parent / "origin.json").write_text('{"command": "python train.py -m seed=0"}')
     (tmp_path / "runs" / "latest_train").symlink_to("sweep/1")
     monkeypatch.chdir(tmp_path)
     again = resumed_sweep(in_its_folder(["resume=latest"]))

@@ -1,9 +1,12 @@
 """What the environment can be called with; anything else is told in a sentence."""
 
+import traceback
+
 import torch
 from torch import Tensor
 
-from resc.errors import CallError, NumericalError
+from resc.errors import CallError, NumericalError, TermError
+from resc.term import Term
 
 
 def require_action(action: object, shape: tuple[int, int], device: torch.device) -> None:
@@ -60,4 +63,19 @@ def bad_action(action: Tensor, observation: Tensor, clock: Tensor, columns: list
         f"The action for {where} is {action[row].tolist()} although all that is observed is "
         "finite; if a policy gave it, its weights are not: train it again with a lower "
         "algorithm.learning_rate, or resume from an earlier checkpoint."
+    )
+
+
+def blamed(error: Exception, when: str) -> Exception:
+    """The error, or a TermError where a term raised it: with the term, the reason and the line."""
+    frames = list(traceback.walk_tb(error.__traceback__))
+    terms = [frame.f_locals.get("self") for frame, _ in frames]
+    term = next((each for each in reversed(terms) if isinstance(each, Term)), None)
+    if term is None:
+        return error
+    frame, line = frames[-1]
+    reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    return TermError(
+        f"{term.path} cannot be computed in {when} of the environment ({reason}, "
+        f"{frame.f_code.co_filename}:{line}); mend it."
     )

@@ -9,7 +9,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from resc import keys
-from resc.envs.calls import bad_action, require_action, require_rows
+from resc.envs.calls import bad_action, blamed, require_action, require_rows
 from resc.envs.stages import Stages, StepOutput, World
 from resc.envs.trial import check_terms
 from resc.errors import CallError, ConfigError
@@ -123,6 +123,7 @@ class QuadrotorEnv(EnvBase):
 
         Raises:
             CallError: Nothing was reset yet, or the action is of another shape, type or device.
+            TermError: A term cannot be computed.
             NumericalError: The action holds a number that is not finite.
         """
         self._require_reset()
@@ -131,7 +132,10 @@ class QuadrotorEnv(EnvBase):
             columns = self.stages.observation_columns
             raise bad_action(action, self.observation, self._world[keys.CLOCK], columns)
         drawn = self._draw(self.step_draws, self.num_envs)
-        self._world, out = self._step_function(self._world, self.pool.shared, action, drawn)
+        try:
+            self._world, out = self._step_function(self._world, self.pool.shared, action, drawn)
+        except Exception as error:  # what a term of one's own raises is told with its name
+            raise blamed(error, f"step {self.steps_taken + 1}") from error
         self.observation = out.observation
         self.steps_taken += 1
         return out

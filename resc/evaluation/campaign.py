@@ -58,7 +58,7 @@ def evaluate(
     limits = limits_of(config)
     references = read_references(Path(config["references"]) if config["references"] else None)
     stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
-    planner = planner_for({**config, "env": config["env"] or stored["env"]})
+    planner = planner_for({**config, "env": {**stored["env"], **(config["env"] or {})}})
     allowed = config["allowed_targets"]
     courses = lay_out(
         scenes, config["flights"], seed=config["seed"], planner=planner, allowed=allowed

@@ -29,6 +29,7 @@ def settings_for(
     """
     settings = {key: config[key] for key in RUN}
     settings |= {group: config.get(group) or stored[group] for group in STORED}
+    settings["env"] = {**stored["env"], **(config.get("env") or {})}  # numbers, each for itself
     rules = stored if own_routes else config
     settings |= {group: rules[group] for group in ("task", "termination")}
     settings |= {group: config[group] for group in ("metric", "randomization")}

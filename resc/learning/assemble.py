@@ -22,11 +22,13 @@ from resc.run_folder import (
     EPISODES,
     HELD_OUT,
     ORIGIN,
+    SUMMARY,
     json_of,
+    summary_of,
     sweep_of,
 )
 from resc.schema import TrainSchema
-from resc.settings import check_settings, honoured, listed, typed
+from resc.settings import check_settings, fingerprint, honoured, listed, typed
 from resc.sweep_folder import go_on, require_as_begun
 from resc.term import Curriculum
 
@@ -71,7 +73,7 @@ def build_trainer(config: DictConfig) -> Ppo:
         action_width=env.stages.terms.action.width,
         seed=config["seed"],
     )
-    return Ppo(
+    trainer = Ppo(
         env,
         networks,
         build(config["algorithm"], "algorithm", allowed=config["allowed_targets"]),
@@ -81,6 +83,8 @@ def build_trainer(config: DictConfig) -> Ppo:
         renew_scenes=renewed,
         curricula=curricula,
     )
+    trainer.made_with = fingerprint(config)
+    return trainer
 
 
 def resumed(config: DictConfig, overrides: Sequence[str], folder: Path) -> DictConfig:
@@ -107,6 +111,12 @@ def resumed(config: DictConfig, overrides: Sequence[str], folder: Path) -> DictC
     changed = honoured(overrides, made_with, folder)
     if "total_frames" in changed:
         _require_longer(config["total_frames"], stored["total_frames"], folder)
+    told = summary_of(folder).get("made_with")
+    if told and told != fingerprint(stored):
+        raise ConfigError(
+            f"{folder / SUMMARY} is of a run with other settings than {CONFIG} beside it; restore "
+            "both from one run, or delete it."
+        )
     with open_dict(stored):
         for name in {*changed, "resume", "allowed_targets"}:
             stored[name] = config[name]

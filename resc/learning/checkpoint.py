@@ -6,7 +6,7 @@ Both are data, loaded without running code.
 import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -26,6 +26,7 @@ from resc.errors import CheckpointError
 from resc.learning.networks import Networks
 from resc.learning.ppo import Ppo
 from resc.run_folder import CHECKPOINT, CONFIG, POLICY
+from resc.settings import fingerprint
 
 Layout = tuple[tuple[str, int], ...]
 ACTION_WIDTH = 4
@@ -92,9 +93,10 @@ def save_policy(folder: Path, networks: Networks, stages: Stages, config: DictCo
         "normalization": seen,
         "layout": [list(block) for block in layout_of(stages)],
         "action_width": stages.terms.action.width,
+        "made_with": fingerprint(config),
     }
     write_atomically(folder / POLICY, content)
-    OmegaConf.save(config, folder / CONFIG)
+    OmegaConf.save(config, folder / CONFIG, resolve=True)
 
 
 def load_policy(
@@ -117,6 +119,7 @@ def load_policy(
     config = load_config(folder / CONFIG)
     if "model" not in config:
         raise CheckpointError(f"{folder / CONFIG} lacks model; restore it from its run.")
+    _require_same_run(content, fingerprint(config), folder / POLICY)
     with _fitting(folder / POLICY):
         layout = tuple((str(name), int(width)) for name, width in content["layout"])
         networks = build(
@@ -182,6 +185,7 @@ def save_checkpoint(path: Path, trainer: Ppo) -> None:
         "pool": env.pool.state(),
         "curricula": trainer.curricula.state(),
         "layout": [list(block) for block in layout_of(env.stages)],
+        "made_with": trainer.made_with,
     }
     write_atomically(path, content)
 
@@ -205,8 +209,18 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
             f"{path} holds {content['observation'].shape[0]} environments, this run has "
             f"{env.num_envs}; set num_envs."
         )
+    _require_same_run(content, trainer.made_with, path)
     with _fitting(path):
         _take(content, trainer)
+
+
+def _require_same_run(content: Mapping[str, Any], made_with: str, path: Path) -> None:
+    """Refuses weights of another run; older files do not say whose they are."""
+    if content.get("made_with") and made_with and content["made_with"] != made_with:
+        raise CheckpointError(
+            f"{path} is of a run with other settings than {CONFIG} beside it; restore both from "
+            "one run."
+        )
 
 
 def _take(content: Mapping[str, Any], trainer: Ppo) -> None:
@@ -233,11 +247,18 @@ def write_atomically(path: Path, content: Mapping[str, Any]) -> None:
     buffer = io.BytesIO()
     torch.save(dict(content), buffer)
     temporary = path.with_suffix(".tmp")
-    with temporary.open("wb") as file:
-        file.write(buffer.getbuffer())
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    try:
+        with temporary.open("wb") as file:
+            file.write(buffer.getbuffer())
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
+        raise CheckpointError(
+            f"{path} cannot be written ({error.strerror}); make room, then go on."
+        ) from None
 
 
 def read(path: Path, names: tuple[str, ...]) -> dict[str, Any]:

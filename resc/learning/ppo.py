@@ -118,6 +118,7 @@ class Ppo:
         self.frames = 0
         self.iteration = 0
         self.trained_s = 0.0  # in all processes that trained it
+        self.made_with = ""  # fingerprint of the configuration, for checkpoints
         if settings.minibatch > settings.steps * env.num_envs:
             raise ConfigError(
                 f"algorithm.minibatch is {settings.minibatch}, more than a batch of "

@@ -16,7 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from resc.build import build
-from resc.errors import RecordingError
+from resc.errors import CheckpointError, RecordingError, RescError
 from resc.learning.checkpoint import save_checkpoint, save_policy
 from resc.learning.ppo import RENEWED, Ppo
 from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
@@ -92,6 +92,9 @@ def train_and_save(
             table=table,
             checkpoint_every_s=config["checkpoint_every_s"],
         )
+    except Exception as error:
+        _keep_policy(trainer, config, folder, error)
+        raise
     finally:
         logger.close()
         if recorder is not None:
@@ -100,7 +103,11 @@ def train_and_save(
     if table.rows:
         draw_learning_curve(table.rows, folder / "learning_curve.png")
     own = speeds(trainer.frames - frames, trainer.trained_s - trained_s)
-    summary = {**speeds(trainer.frames, trainer.trained_s), "process": own}
+    summary = {
+        **speeds(trainer.frames, trainer.trained_s),
+        "process": own,
+        "made_with": trainer.made_with,
+    }
     finish_run(folder, summary, "train")
     return summary
 
@@ -166,14 +173,24 @@ def train(
     return trainer.frames >= total_frames
 
 
+def _keep_policy(trainer: Ppo, config: DictConfig, folder: Path, error: Exception) -> None:
+    """Saves the weights that the last whole batch left; the disk may be full, or they spoilt."""
+    if not all(parameter.isfinite().all() for parameter in trainer.parameters):
+        return
+    try:
+        save_policy(folder, trainer.networks, trainer.env.stages, config)
+    except (RescError, OSError) as failure:
+        error.add_note(f"The policy could not be saved: {failure}")
+    else:
+        error.add_note(f"The policy as it was after {trainer.frames} frames is in {folder}.")
+
+
 def _save_in_need(trainer: Ppo, folder: Path, error: RecordingError) -> None:
     """Saves the checkpoint although the recorder failed; the disk may be full."""
     try:
         save_checkpoint(folder / CHECKPOINT, trainer)
-    except OSError as failure:
-        error.add_note(
-            f"The checkpoint could not be saved ({failure}); the one before stays as it is."
-        )
+    except CheckpointError as failure:
+        error.add_note(f"The checkpoint before stays as it is: {failure}")
 
 
 def record_batch(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
