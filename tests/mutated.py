@@ -47,7 +47,7 @@ BOUNDS = {
     r"observation\..*\.scale": ANY,
     r".*\.angles_rad": (-2 * math.pi, 2 * math.pi),
     r"randomization\..*\.spread": SHARE,
-    r"rate_loop\.gains": POSITIVE,
+    r"rate_loop\.gains": NONNEGATIVE,
     r"rate_loop\.throttle_range": SHARE,
     r"recorder\.(rotate_mb|max_gb)": POSITIVE,
     r"recorder\..*": COUNT,
