@@ -74,6 +74,8 @@ def build(
             raise ConfigError(
                 f"{path}.{name} is not an argument of {target.__name__}.{nearest(name, known)}"
             )
+        if _holds_parts(value):
+            value = _build_parts(value, f"{path}.{name}", allowed)
         arguments[name] = checked(f"{path}.{name}", value, parameters[name].annotation)
     missing = [
         n for n in known if parameters[n].default is inspect.Parameter.empty and n not in arguments
@@ -94,6 +96,18 @@ def build(
     if kind is not None and not isinstance(made, kind):
         raise ConfigError(f"{path} builds a {type(made).__name__}, which is no {kind.__name__}.")
     return made
+
+
+def _holds_parts(value: Any) -> bool:
+    """Whether a setting is a mapping of nodes, each to be built; null leaves one out."""
+    nodes = [node for node in value.values() if node] if isinstance(value, Mapping) else []
+    return bool(nodes) and any(isinstance(node, Mapping) and "_target_" in node for node in nodes)
+
+
+def _build_parts(nodes: Mapping[str, Any], path: str, allowed: Iterable[str]) -> dict[str, Any]:
+    """The objects of a mapping of nodes, by name."""
+    there = {name: node for name, node in nodes.items() if node is not None}
+    return {name: build(node, f"{path}.{name}", allowed=allowed) for name, node in there.items()}
 
 
 def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]:

@@ -84,6 +84,12 @@ CLOCK = _declare(("clock", "step"), (1,), "steps", "control steps since the rese
 SCENE_INDEX = _declare(("scene", "index"), (1,), "-", "entry of the scene pool", torch.int64)
 
 START_W = _declare(("task", "start_w"), (3,), "m", "where the episode begins")
+START_MOTION = _declare(
+    ("task", "start_motion"),
+    (2,),
+    "m/s, rad",
+    "greatest speed, and angle to the route, that the scene lets an episode begin with",
+)
 ROUTE_W = _declare(("task", "route_w"), ("k", 3), "m", "all control points, padded with the last")
 ROUTE_LENGTH = _declare(
     ("task", "route_length"), (1,), "-", "number of control points", torch.int64
@@ -109,6 +115,13 @@ MAP_ORIGIN_W = _declare(("map", "origin_w"), ("p", 2), "m", "lower-left corner",
 MAP_SIZE = _declare(("map", "size"), ("p", 2), "m", "extent in x and y", shared=True)
 BOXES_W = _declare(
     ("map", "boxes_w"), ("p", "k", 4), "m", "columns: x and y of the corner, lengths", shared=True
+)
+PILLARS_W = _declare(
+    ("map", "pillars_w"),
+    ("p", "m", 3),
+    "m",
+    "round columns: x and y of the axis, radius",
+    shared=True,
 )
 
 CLEARANCE = _declare(("sensor", "clearance"), (1,), "m", "distance field at the vehicle's cell")

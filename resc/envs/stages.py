@@ -308,7 +308,7 @@ class Stages(nn.Module):
         kept = set(self.persistent)
         past = {key for key in self.memory if key[1:] in kept}
         shared = {key for key, declared in DECLARED.items() if declared.shared}
-        at_reset = shared | kept | past | {keys.START_W, keys.CLOCK}
+        at_reset = shared | kept | past | {keys.START_W, keys.START_MOTION, keys.CLOCK}
         known = at_reset | {keys.ACTION}
         for term in self.terms:
             if isinstance(term, Reward):

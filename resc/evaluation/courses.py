@@ -14,7 +14,7 @@ from resc.errors import ConfigError
 from resc.maps.cells import require_room
 from resc.math.sampling import generator_for
 from resc.planning.route import RoutePlanner
-from resc.scenes.layout import Layout, Scene
+from resc.scenes.layout import Layout, Scene, sampled
 
 TYPICAL_CELL_M = 0.1
 """Edge of a map cell where no planner tells it."""
@@ -48,7 +48,8 @@ class Course:
     @property
     def one_map(self) -> bool:
         """Whether all flights share their obstacles."""
-        return bool((self.layout.boxes_w == self.layout.boxes_w[:1]).all())
+        obstacles = (self.layout.boxes_w, self.layout.pillars_w)
+        return all(bool((kind == kind[:1]).all()) for kind in obstacles)
 
 
 class LaidOut:
@@ -115,7 +116,7 @@ def drawn(
     cell_m = planner.search.resolution_m if planner else TYPICAL_CELL_M
     one = scene.sample(1, generator_for(seed, f"evaluation/{name}"))
     require_room(flights, one.size, cell_m, "cpu")
-    layout = scene.sample(flights, generator_for(seed, f"evaluation/{name}"))
+    layout = sampled(scene, flights, generator_for(seed, f"evaluation/{name}"), planner)
     start = getattr(scene, "start_m", None)
     return layout, layout.start_w if start is None else start.expand(flights, 3)
 

@@ -28,7 +28,7 @@ from resc.evaluation.references import Reference
 from resc.evaluation.statistics import SceneReport
 from resc.maps.cells import extent_of, shape_of
 from resc.maps.distance_transform import distance_transform
-from resc.scenes.layout import rasterize
+from resc.scenes.layout import Layout, rasterize
 
 SHADE_M = 1.5
 """Distance from which on the background no longer changes."""
@@ -110,8 +110,7 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
         vmax=SHADE_M,
         interpolation="bilinear",
     )
-    boxes = [Rectangle((bx, by), lx, ly) for bx, by, lx, ly in layout.boxes_w[first].tolist()]
-    axes.add_collection(PatchCollection(boxes, facecolor=OBSTACLE, edgecolor="none"))
+    draw_obstacles(axes, layout, first)
     _draw_plan(axes, flown.course, first, flown.column_radius_m)
     if panel.reference:
         line = panel.reference.fastest.line()
@@ -124,6 +123,14 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
         axes.add_collection(lines)
     _draw_ends(axes, panel, mark_scale)
     _dress(axes, panel)
+
+
+def draw_obstacles(axes: Axes, layout: Layout, number: int) -> None:
+    """Boxes and pillars of one scene of a batch."""
+    boxes = [Rectangle((x, y), lx, ly) for x, y, lx, ly in layout.boxes_w[number].tolist()]
+    pillars = [Circle((x, y), radius) for x, y, radius in layout.pillars_w[number].tolist()]
+    obstacles = PatchCollection([*boxes, *pillars], facecolor=OBSTACLE, edgecolor="none")
+    axes.add_collection(obstacles)
 
 
 def trace(
@@ -184,5 +191,7 @@ def _distance(course: Course, number: int, resolution_m: float) -> Float[np.ndar
     of = slice(number, number + 1)
     layout = course.layout
     shape = shape_of(layout.size[of], resolution_m)
-    occupied = rasterize(layout.boxes_w[of], layout.origin_w[of], shape, resolution_m)
+    occupied = rasterize(
+        layout.boxes_w[of], layout.origin_w[of], shape, resolution_m, layout.pillars_w[of]
+    )
     return distance_transform(occupied, resolution_m, SHADE_M)[0].numpy()

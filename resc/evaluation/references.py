@@ -82,7 +82,8 @@ def crossings(layout: Layout, nominal_w: Float[Tensor, "p 3"], limits: Limits) -
     found = []
     last = (layout.route_length[:, 0] - 1).clamp(min=0).tolist()
     for number in range(len(layout)):
-        boxes = {box for box in map(_plain, layout.boxes_w[number]) if min(box[2:]) > 0}
+        obstacles = (*layout.boxes_w[number], *layout.pillars_w[number])
+        boxes = {shape for shape in map(_plain, obstacles) if min(shape[2:]) > 0}
         found.append(
             Crossing(
                 boxes=tuple(sorted(boxes)),

@@ -6,7 +6,7 @@ On the device and with the versions that recorded it, every number comes out aga
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -30,8 +30,7 @@ from resc.recording.rollouts import provenance
 from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import Selection
 from resc.run_folder import finish_run
-from resc.scenes.layout import Layout
-from resc.scenes.pool import ScenePool
+from resc.scenes.pool import ScenePool, layout_from
 
 STATE = tuple(column.key for column in STATE_COLUMNS)
 FLAGS = (keys.TERMINATED, keys.TRUNCATED)
@@ -167,7 +166,7 @@ def environment_in(
     config: Mapping[str, Any], scenes: Mapping[str, Tensor], num_envs: int
 ) -> QuadrotorEnv:
     """The environment of a configuration, in a pool of recorded scenes `[P, ...]`."""
-    layout = Layout(**{field.name: scenes[field.name] for field in fields(Layout)})
+    layout = layout_from(scenes)
     pool = ScenePool(
         LaidOut(layout),
         size=len(layout),

@@ -319,7 +319,7 @@ def cast_batch(
 ):
     """Writes how far rays get [m], and whether what they end in is occupied, both [n, g, b]."""
     arrays = (esdf, index, origin, size, here, direction, length, reach, blocked)
-    _share_out(_cast_batch, here.shape[0], threads, *arrays, F(resolution), _singles(limits))
+    share_out(_cast_batch, here.shape[0], threads, *arrays, F(resolution), _singles(limits))
 
 
 def guided_batch(
@@ -327,7 +327,7 @@ def guided_batch(
 ):
     """Writes the two edges per guide [m] to `result` [n, g, 4]."""
     arrays = (esdf, index, origin, size, here, offset, radius, result)
-    _share_out(_guided_batch, here.shape[0], threads, *arrays, F(resolution), _singles(limits))
+    share_out(_guided_batch, here.shape[0], threads, *arrays, F(resolution), _singles(limits))
 
 
 def _singles(limits):
@@ -335,13 +335,13 @@ def _singles(limits):
     return tuple(F(value) for value in limits)
 
 
-def _share_out(kernel, count, threads, *arguments):
-    """Runs a kernel over rows [0, count) in `threads` threads.
+def share_out(kernel, count, threads, *arguments, least=256):
+    """Runs a kernel over rows [0, count) in `threads` threads, in one if they are below `least`.
 
     Not numba's own threads: its OpenMP layer shares torch's library, changes torch's number of
     threads, and waits by spinning, which is many times slower as soon as another process is busy.
     """
-    if threads == 1 or count < 256:
+    if threads == 1 or count < least:
         kernel(0, count, *arguments)
         return
     edges = [count * i // threads for i in range(threads + 1)]

@@ -1,4 +1,4 @@
-"""Distances that do not turn into NaN, and boxes in the plane."""
+"""Distances that do not turn into NaN, and obstacles in the plane."""
 
 import torch
 from jaxtyping import Float
@@ -29,6 +29,14 @@ def box_distance(
     q = (points.unsqueeze(-2) - boxes[..., :2] - half).abs() - half
     outside = q.clamp(min=0).square().sum(-1).sqrt()
     return outside + q.amax(-1).clamp(max=0)
+
+
+def pillar_distance(
+    points: Float[Tensor, "n 2"], pillars: Float[Tensor, "n m 3"]
+) -> Float[Tensor, "n m"]:
+    """Signed distance [m] from a point to each pillar `[x, y, radius]`: negative inside."""
+    offset = points.unsqueeze(-2) - pillars[..., :2]
+    return torch.linalg.vector_norm(offset, dim=-1) - pillars[..., 2]
 
 
 def segment_distance(

@@ -5,17 +5,20 @@ well: a point at which the path turns round an obstacle may be replaced, but not
 """
 
 from itertools import pairwise
-from math import ceil, dist, floor, hypot
+from math import ceil, floor, hypot
 from typing import Literal, TypeAlias, no_type_check
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 from numba import njit
 
 from resc.errors import PlanningError
 from resc.planning.grid import Grid, _segment_is_free
 
 Point: TypeAlias = tuple[float, float]
+Points: TypeAlias = Float64[np.ndarray, "rows 2"]
+Frame: TypeAlias = tuple[float, float, float]
+Limits: TypeAlias = tuple[float, float, float]
 
 # A point that stands in for two may make the path longer by this share of the lower spacing.
 _DETOUR = 0.5
@@ -44,55 +47,99 @@ def control_points(
     if rule == "released":
         kept = _released(points_m, spacing_m, nominal_m)
     elif rule == "visible":
-        offset_m = np.asarray(origin_xy_m) + 0.5 * resolution_m
-        cells = [(x, y) for x, y in ((points_m - offset_m) / resolution_m).tolist()]
-        _drop_own_cell(cells)
-        _merge_short(cells, blocked, spacing_m[0] / resolution_m)
-        corners_m = np.array(cells) * resolution_m + offset_m
-        corners_m[0], corners_m[-1] = points_m[0], points_m[-1]
-        kept = _split_long(corners_m, spacing_m[1], nominal_m)
+        x0_m, y0_m = (float(corner) + 0.5 * resolution_m for corner in origin_xy_m)
+        frame = (x0_m, y0_m, float(resolution_m))
+        limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
+        kept = visible_points(np.asarray(points_m, np.float64), blocked, frame, limits)
     else:
         raise PlanningError(f"Unknown rule '{rule}'; expected 'visible' or 'released'.")
     return np.column_stack([kept, np.full(len(kept), height_m)])
 
 
-def _drop_own_cell(points: list[Point]) -> None:
+@njit(cache=True)
+@no_type_check
+def visible_points(points_m: Points, blocked: Grid, frame: Frame, limits: Limits) -> Points:
+    """The points of the rule `visible`, without the start [m].
+
+    `frame` is the centre of cell (0, 0) and the size of a cell, `limits` the lower and the upper
+    spacing and the nominal one, all in metres.
+    """
+    x0_m, y0_m, size_m = frame
+    cells = np.empty_like(points_m)
+    for n in range(len(points_m)):
+        cells[n, 0] = (points_m[n, 0] - x0_m) / size_m
+        cells[n, 1] = (points_m[n, 1] - y0_m) / size_m
+    count = _drop_own_cell(cells, len(cells))
+    count = _merge_short(cells, count, blocked, limits[0] / size_m)
+    for n in range(count):
+        cells[n, 0], cells[n, 1] = cells[n, 0] * size_m + x0_m, cells[n, 1] * size_m + y0_m
+    last = len(points_m) - 1
+    cells[0, 0], cells[0, 1] = points_m[0, 0], points_m[0, 1]
+    cells[count - 1, 0], cells[count - 1, 1] = points_m[last, 0], points_m[last, 1]
+    return _split_long(cells[:count], limits[1], limits[2])
+
+
+@njit(cache=True)
+@no_type_check
+def _drop_own_cell(points: Points, count: int) -> int:
     """Remove the centre of the drone's own cell, which only joins the exact start to the grid.
 
     The line past it stays half a cell (Chebyshev) or more from blocked centres, so it does not
     enter the square of a blocked cell.
     """
-    if len(points) > 2:
-        (x0, y0), (x1, y1) = points[:2]
-        if max(abs(x1 - x0), abs(y1 - y0)) <= 0.5:
-            del points[1]
+    if count > 2:
+        x, y = abs(points[1, 0] - points[0, 0]), abs(points[1, 1] - points[0, 1])
+        if max(x, y) <= 0.5:
+            return _without(points, count, 1)
+    return count
 
 
-def _merge_short(points: list[Point], blocked: Grid, shortest: float) -> None:
+@njit(cache=True)
+@no_type_check
+def _without(points: Points, count: int, at: int) -> int:
+    """Remove one point, in place; how many are left."""
+    for n in range(at, count - 1):
+        points[n, 0], points[n, 1] = points[n + 1, 0], points[n + 1, 1]
+    return count - 1
+
+
+@njit(cache=True)
+@no_type_check
+def _merge_short(points: Points, count: int, blocked: Grid, shortest: float) -> int:
     """Merge inner points, in place, that are nearer than `shortest` to the next one; in cells."""
     at = 0
-    while at < len(points) - 1:
-        if dist(points[at], points[at + 1]) < shortest and _merge(points, at, blocked, shortest):
-            at = max(0, at - 1)
-        else:
-            at += 1
+    while at < count - 1:
+        left = count
+        if _length(_point(points, at), _point(points, at + 1)) < shortest:
+            left = _merge(points, count, at, blocked, shortest)
+        at = max(0, at - 1) if left < count else at + 1
+        count = left
+    return count
 
 
-def _merge(points: list[Point], at: int, blocked: Grid, shortest: float) -> bool:
+@njit(cache=True)
+@no_type_check
+def _merge(points: Points, count: int, at: int, blocked: Grid, shortest: float) -> int:
     """Remove point `at + 1` or `at`, or replace both by one, if the lines stay free."""
     for n in (at + 1, at):
-        if 0 < n < len(points) - 1:
-            before, after = points[n - 1], points[n + 1]
-            if _segment_is_free(blocked, *before, *after):
-                del points[n]
-                return True
-    if 0 < at < len(points) - 2:
-        a, b, c, d = points[at - 1 : at + 3]
+        if 0 < n < count - 1:
+            before, after = _point(points, n - 1), _point(points, n + 1)
+            if _segment_is_free(blocked, before[0], before[1], after[0], after[1]):
+                return _without(points, count, n)
+    if 0 < at < count - 2:
+        a, b = _point(points, at - 1), _point(points, at)
+        c, d = _point(points, at + 1), _point(points, at + 2)
         x, y = _stand_in(blocked, a, b, c, d, shortest)
         if x >= 0.0:
-            points[at : at + 2] = [(x, y)]
-            return True
-    return False
+            points[at, 0], points[at, 1] = x, y
+            return _without(points, count, at + 1)
+    return count
+
+
+@njit(cache=True)
+@no_type_check
+def _point(points: Points, at: int) -> Point:
+    return points[at, 0], points[at, 1]
 
 
 @njit(cache=True)
@@ -126,17 +173,28 @@ def _length(a: Point, b: Point) -> float:
     return hypot(b[0] - a[0], b[1] - a[1])
 
 
-def _split_long(
-    corners_m: Float[np.ndarray, "c 2"], longest_m: float, nominal_m: float
-) -> Float[np.ndarray, "k 2"]:
+@njit(cache=True)
+@no_type_check
+def _split_long(corners_m: Points, longest_m: float, nominal_m: float) -> Points:
     """The corners without the first, with long lines cut into equal parts."""
-    kept = []
-    for a, b in pairwise(corners_m):
-        length_m = hypot(*(b - a))
-        parts = max(1, ceil(length_m / longest_m - 1e-9), round(length_m / nominal_m))
-        kept += [a + (b - a) * (n / parts) for n in range(1, parts)]
-        kept.append(b)
-    return np.array(kept or corners_m[-1:])
+    last = len(corners_m) - 1
+    if last == 0:
+        return corners_m.copy()
+    parts = np.empty(last, np.int64)
+    for n in range(last):
+        length_m = _length(_point(corners_m, n), _point(corners_m, n + 1))
+        parts[n] = max(1, ceil(length_m / longest_m - 1e-9), round(length_m / nominal_m))
+    kept, at = np.empty((parts.sum(), 2)), 0
+    for n in range(last):
+        for part in range(1, parts[n]):
+            share = part / parts[n]
+            for axis in range(2):
+                a, b = corners_m[n, axis], corners_m[n + 1, axis]
+                kept[at, axis] = a + (b - a) * share
+            at += 1
+        kept[at, 0], kept[at, 1] = corners_m[n + 1, 0], corners_m[n + 1, 1]
+        at += 1
+    return kept
 
 
 def _released(

@@ -52,6 +52,8 @@ _SIDES = ((CORNER_PP, 1, 1), (CORNER_NN, -1, -1), (CORNER_PN, 1, -1), (CORNER_NP
 _SAME_POINT_CELLS = 1e-9
 
 
+@njit(cache=True)
+@no_type_check
 def workspace(cells: int, heap: int) -> Work:
     """Memory for queries numbered from 1, on maps of up to `cells` cells."""
     rows = cells + 64  # a scan of a very small map still needs a few

@@ -13,6 +13,7 @@ from torch import Tensor
 from resc.build import arrival_of, build, cell_of
 from resc.errors import ConfigError, PlanningError
 from resc.maps.cells import shape_of
+from resc.planning.batch import plan_batch
 from resc.planning.control_points import control_points
 from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
 from resc.quantities import LARGEST, NotNegative, Positive, Within
@@ -24,6 +25,10 @@ MAPS_KEPT = 64
 
 class RoutePlanner:
     """Fills in the routes of a batch of scenes, from each start to each goal.
+
+    Scenes with a clearance of their own are random ones, and many: they are planned in as many
+    threads as torch has, and those without a route keep length 0, for whoever drew them to draw
+    again.
 
     `paths` holds the planned path of every scene of the last call. A map is rasterised and prepared
     once, however many scenes share it. The control points keep the goal's height.
@@ -75,6 +80,8 @@ class RoutePlanner:
             PlanningError: A start or goal lies outside the map or in an obstacle, they are so near
                 that the flight begins arrived, or no path joins them; says which scene.
         """
+        if not layout.clearance.isnan().any():
+            return self._plan_together(layout)
         self.paths, routes = [], []
         for number in range(len(layout)):
             try:
@@ -87,6 +94,32 @@ class RoutePlanner:
         longest = int(length.max())
         padded = [torch.cat((r, r[-1:].expand(longest - len(r), -1))) for r in routes]
         return replace(layout, route_w=torch.stack(padded), route_length=length)
+
+    def _plan_together(self, layout: Layout) -> Layout:
+        """The routes of scenes with a clearance of their own; `paths` is left empty."""
+        if self.rule != "visible":
+            raise ConfigError(
+                f"search.rule is '{self.rule}', which plans one scene at a time; scenes with a "
+                "clearance of their own need 'visible'."
+            )
+        self.paths, resolution = [], self.search.resolution_m
+        shape = shape_of(layout.size, resolution)
+        boxes, origin, pillars = layout.boxes_w, layout.origin_w, layout.pillars_w
+        routes, counts = plan_batch(
+            layout,
+            rasterize(boxes, origin, shape, resolution, pillars).numpy(),
+            resolution_m=resolution,
+            max_expansions=self.search.max_expansions,
+            limits=(*self.spacing_m, self.nominal_m),
+            threads=torch.get_num_threads(),
+        )
+        goal = layout.route_w[:, -1:]
+        route = torch.from_numpy(routes[:, : max(1, int(counts.max(initial=1)))]).float()
+        height = goal[..., 2:].expand(-1, route.shape[1], 1)
+        there = torch.arange(route.shape[1]) < torch.from_numpy(counts).unsqueeze(-1)
+        route = torch.where(there.unsqueeze(-1), torch.cat((route, height), -1), goal)
+        length = torch.from_numpy(counts).unsqueeze(-1)
+        return replace(layout, route_w=route, route_length=length)
 
     def _plan(self, layout: Layout, number: int) -> tuple[PlannedPath, Float[Tensor, "k 3"]]:
         prepared = self._prepare(layout, number)
@@ -140,10 +173,13 @@ class RoutePlanner:
         """The map of one scene, from the cache if the same boxes were met before."""
         of = slice(number, number + 1)
         boxes, origin, size = layout.boxes_w[of], layout.origin_w[of], layout.size[of]
-        key = b"".join(np.ascontiguousarray(t.numpy()).tobytes() for t in (boxes, origin, size))
+        pillars = layout.pillars_w[of]
+        parts = (boxes, origin, size, pillars)
+        key = b"".join(np.ascontiguousarray(part.numpy()).tobytes() for part in parts)
         if key not in self._maps:
             resolution = self.search.resolution_m
-            occupied = rasterize(boxes, origin, shape_of(size, resolution), resolution)[0]
+            shape = shape_of(size, resolution)
+            occupied = rasterize(boxes, origin, shape, resolution, pillars)[0]
             if len(self._maps) >= MAPS_KEPT:
                 self._maps.pop(next(iter(self._maps)))
             self._maps[key] = self.search.prepare(occupied.numpy())

@@ -69,7 +69,8 @@ class Limits:
 class Crossing:
     """What a reference is for: obstacles, map, start, goal, limits; plain numbers in metres.
 
-    Boxes are columns `[x, y, len_x, len_y]` from the lower-left corner.
+    Boxes are columns `[x, y, len_x, len_y]` from the lower-left corner; those of three numbers are
+    round pillars, `[x, y, radius]`.
     """
 
     boxes: tuple[tuple[float, ...], ...]
@@ -151,8 +152,12 @@ def outside_box(
 ) -> Any:  # noqa: ANN401
     """Squared distance of points to a box less the squared reach [m^2]; another shape is another.
 
-    Exact and, outside the box, with a continuous derivative.
+    Of a pillar, `[x, y, radius]`, from its axis, which the radius is reached from, too. Exact and,
+    outside the obstacle, with a continuous derivative.
     """
+    if len(box) == 3:
+        x, y, radius = box
+        return (points[0, :] - x) ** 2 + (points[1, :] - y) ** 2 - (radius + reach_m) ** 2
     x, y, length_x, length_y = box
     beside_x = ca.fmax(ca.fabs(points[0, :] - x - length_x / 2) - length_x / 2, 0)
     beside_y = ca.fmax(ca.fabs(points[1, :] - y - length_y / 2) - length_y / 2, 0)
@@ -170,14 +175,16 @@ def _require_room(crossing: Crossing) -> None:
             "move them apart."
         )
     margin = crossing.limits.margin_m
-    for x, y, length_x, length_y in crossing.boxes:
+    for x, y, *lengths in crossing.boxes:
+        wide, deep = lengths if len(lengths) == 2 else (0.0, 0.0)
         beside = (
-            max(x - start[0], start[0] - x - length_x, 0.0),
-            max(y - start[1], start[1] - y - length_y, 0.0),
+            max(x - start[0], start[0] - x - wide, 0.0),
+            max(y - start[1], start[1] - y - deep, 0.0),
         )
-        if hypot(*beside) < margin + SLACK_M:
+        near = hypot(*beside) - (lengths[0] if len(lengths) == 1 else 0.0)
+        if near < margin + SLACK_M:
             raise PlanningError(
-                f"{shown} is {hypot(*beside):.3g} m from an obstacle, and the reference keeps "
+                f"{shown} is {near:.3g} m from an obstacle, and the reference keeps "
                 f"{margin:g} m; move the start or lower limits.margin_m."
             )
 

@@ -120,6 +120,19 @@ def obstacle_surface(box: list[float], top: float) -> Float[np.ndarray, "n 3"]:
     return np.stack((x + i, y + j, k), -1)[outside]
 
 
+def pillar_surface(pillar: list[float], top: float) -> Float[np.ndarray, "n 3"]:
+    """Points on the side and the top of a pillar [m]."""
+    x, y, radius = pillar
+    around = max(8, round(2 * np.pi * radius / SURFACE_M))
+    angle = np.arange(around) * (2 * np.pi / around)
+    circle = np.stack((np.cos(angle), np.sin(angle)), -1)
+    heights = np.linspace(0, top, max(2, round(top / SURFACE_M) + 1))
+    side = [np.insert(radius * circle, 2, height, 1) for height in heights]
+    rings = np.linspace(0, radius, max(2, round(radius / SURFACE_M) + 1))[:-1]
+    lid = [np.insert(ring * circle, 2, top, 1) for ring in rings]
+    return np.concatenate((*side, *lid)) + np.array((x, y, 0.0))
+
+
 def shades(distance: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 4"]:
     """Colours of the map: dark in obstacles, tinted in their inflation, light far from them."""
     share = np.clip(distance / FAR_M, 0, 1)[..., None]

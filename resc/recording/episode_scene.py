@@ -25,6 +25,7 @@ from resc.recording.configuration import nodes_in, numbers_at, require_groups
 from resc.recording.reader import RolloutLog
 from resc.recording.sight import Pose, Shape, shapes
 from resc.scenes.layout import PARKED_M, rasterize
+from resc.scenes.pool import layout_from
 from resc.simulation.vehicle import Vehicle
 from resc.term import Action, Context, Observation
 
@@ -41,12 +42,14 @@ Tensors = dict[keys.NestedKey, Tensor]
 class Place:
     """The scene of an episode: columns, map and route, world frame [m].
 
-    `boxes` are columns over the whole height: x and y of the corner, lengths. `route` is all
+    `boxes` are columns over the whole height: x and y of the corner, lengths; `pillars` are round
+    ones: x and y of the axis, radius. `route` is all
     control points; one is passed within `radius`, and `half_height` unless that is None: then the
     radius is a sphere's.
     """
 
     boxes: Float[Tensor, "k 4"]
+    pillars: Float[Tensor, "m 3"]
     origin: Float[Tensor, " 2"]
     size: Float[Tensor, " 2"]
     resolution: float
@@ -159,12 +162,15 @@ def _facts(log: RolloutLog, episode: int) -> dict[str, str]:
 
 def _place(arrays: Mapping[str, Tensor], config: Mapping[str, Any]) -> Place:
     resolution = config["env"]["resolution_m"]
-    origin, size, boxes = arrays["origin_w"], arrays["size"], arrays["boxes_w"]
-    occupied = rasterize(boxes[None], origin[None], shape_of(size, resolution), resolution)
+    layout = layout_from({name: array.unsqueeze(0) for name, array in arrays.items()})
+    boxes, pillars, size = layout.boxes_w, layout.pillars_w, layout.size[0]
+    shape = shape_of(size, resolution)
+    occupied = rasterize(boxes, layout.origin_w, shape, resolution, pillars)
     task = config["task"]["control_points"]
     return Place(
-        boxes=boxes[boxes[:, 0] < PARKED_M],
-        origin=origin,
+        boxes=boxes[boxes[..., 0] < PARKED_M],
+        pillars=pillars[pillars[..., 0] < PARKED_M],
+        origin=layout.origin_w[0],
         size=extent_of(size, resolution),
         resolution=resolution,
         esdf=distance_transform(occupied, resolution, TRUNCATION_M)[0],

@@ -30,6 +30,7 @@ from resc.recording.appearance import (
     TRAIL_STEPS,
     map_centres,
     obstacle_surface,
+    pillar_surface,
     rgba,
     rotor_colours,
     rotor_outline,
@@ -196,8 +197,12 @@ def _static(scene: EpisodeScene) -> Iterator[tuple[str, _Encodes]]:
         cube((x + dx / 2, y + dy / 2, top / 2), (dx, dy, top), paint(OBSTACLE))
         for x, y, dx, dy in boxes
     ]
-    yield "/world/obstacles", entity("obstacles", cubes=cubes)
-    surface = np.concatenate([np.empty((0, 3)), *(obstacle_surface(box, top) for box in boxes)])
+    pillars = place.pillars.tolist()
+    rounds = [cylinder((x, y, top / 2), radius, top, paint(OBSTACLE)) for x, y, radius in pillars]
+    yield "/world/obstacles", entity("obstacles", cubes=cubes, cylinders=rounds)
+    surfaces = [obstacle_surface(box, top) for box in boxes]
+    surfaces += [pillar_surface(pillar, top) for pillar in pillars]
+    surface = np.concatenate([np.empty((0, 3)), *surfaces])
     colour = np.array(rgba(OBSTACLE), np.uint8)
     yield "/world/obstacle_points", point_cloud(surface, colour, time_ns=0, frame=WORLD)
     distance = place.esdf.numpy()

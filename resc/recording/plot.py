@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch, Patch, Rectangle
+from matplotlib.patches import Circle, FancyBboxPatch, Patch, Rectangle
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -124,7 +124,7 @@ def _draw_map(
 ) -> None:
     position = _tensor(steps, keys.POSITION_W)[:, :2].numpy()
     speed = _tensor(steps, keys.VELOCITY_W).norm(dim=-1).numpy()
-    _draw_obstacles(axes, scene["boxes_w"].tolist(), inflation)
+    _draw_obstacles(axes, scene, inflation)
     route = scene["route_w"][: int(scene["route_length"]), :2].numpy()
     planned = np.concatenate((scene["start_w"][None, :2].numpy(), route))
     axes.plot(*planned.T, color=PLAN, linewidth=1.0, linestyle=DASHES, zorder=2)
@@ -151,21 +151,23 @@ def _draw_map(
     _quiet(axes)
 
 
-def _draw_obstacles(axes: Axes, boxes: list[list[float]], inflation: float) -> None:
+def _draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -> None:
     """Columns, and around them where a flight ends as a collision."""
-    shown = [((x, y), width, length) for x, y, width, length in boxes if width > 0 and length > 0]
-    if inflation > 0 and shown:
+    boxes = [((x, y), dx, dy) for x, y, dx, dy in scene["boxes_w"].tolist() if dx > 0 and dy > 0]
+    pillars = scene["pillars_w"].tolist() if "pillars_w" in scene else []  # not in older recordings
+    pillars = [((x, y), radius) for x, y, radius in pillars if radius > 0]
+    if inflation > 0 and (boxes or pillars):
         style = f"round,pad={inflation},rounding_size={inflation}"
-        for box in shown:
-            around = FancyBboxPatch(*box, boxstyle=style, facecolor=_INFLATED, edgecolor="none")
-            axes.add_patch(around)
+        flat = {"facecolor": _INFLATED, "edgecolor": "none"}
+        for box in boxes:
+            axes.add_patch(FancyBboxPatch(*box, boxstyle=style, **flat))
+        for centre, radius in pillars:
+            axes.add_patch(Circle(centre, radius + inflation, **flat))
         label = f"collision: within {inflation:g} m of an obstacle"
         patch = Patch(facecolor=_INFLATED, label=label)
         axes.legend(handles=[patch], loc="upper left", fontsize="small", framealpha=0.8)
-    rectangles = [Rectangle(*box) for box in shown]
-    axes.add_collection(
-        PatchCollection(rectangles, facecolor=OBSTACLE, edgecolor="none", zorder=1.5)
-    )
+    shapes = [*(Rectangle(*box) for box in boxes), *(Circle(*pillar) for pillar in pillars)]
+    axes.add_collection(PatchCollection(shapes, facecolor=OBSTACLE, edgecolor="none", zorder=1.5))
 
 
 def _draw_velocity(axes: Axes, time: Float[np.ndarray, " t"], steps: TensorDict) -> None:

@@ -105,6 +105,17 @@ def _send_place(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     corner = np.pad(boxes[:, :2], ((0, 0), (0, 1)))
     obstacles = rr.Boxes3D(mins=corner, sizes=size, colors=[rgba(OBSTACLE)], fill_mode="solid")
     stream.log("/world/obstacles", obstacles, static=True)
+    if len(place.pillars):
+        pillars = place.pillars.numpy()
+        centre = np.pad(pillars[:, :2], ((0, 0), (0, 1)), constant_values=top / 2)
+        shape = rr.Cylinders3D(
+            centers=centre,
+            lengths=np.full(len(pillars), top),
+            radii=pillars[:, 2],
+            colors=[rgba(OBSTACLE)],
+            fill_mode="solid",
+        )
+        stream.log("/world/pillars", shape, static=True)
     stream.log("/map/esdf", _ground(scene), static=True)
     plan = np.concatenate((place.start.numpy()[None], place.route.numpy()))
     path = rr.LineStrips3D([plan], colors=[rgba(NEXT)], radii=[LINE_M])

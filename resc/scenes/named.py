@@ -7,11 +7,11 @@ import torch
 from resc.errors import ConfigError
 from resc.math.sampling import uniform
 from resc.quantities import NotNegative, Number, Positive
-from resc.scenes.layout import Layout
+from resc.scenes.layout import NO_PILLAR, Layout
 
 
 class NamedScene:
-    """A fixed set of boxes; every sample starts within `jitter_m` of the start in x and y.
+    """A fixed set of boxes and pillars; every sample starts within `jitter_m` of the start in x and y.
 
     Args:
         boxes: `[x, y, len_x, len_y]` from the lower-left corner [m].
@@ -20,6 +20,7 @@ class NamedScene:
         origin_m: Lower-left corner of the map.
         size_m: Extent of the map in x and y.
         jitter_m: Greatest offset of the start along each axis.
+        pillars: `[x, y, radius]` of round ones [m].
         difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
@@ -32,12 +33,19 @@ class NamedScene:
         origin_m: Sequence[Number],
         size_m: Sequence[Positive],
         jitter_m: NotNegative = 0.0,
+        pillars: Sequence[Sequence[Number]] = (),
         difficulty: str | None = None,
     ) -> None:
         for number, box in enumerate(boxes):
             if len(box) != 4 or min(box[2:]) <= 0:
                 raise ConfigError(
                     f"boxes[{number}] is {list(box)}; expected [x, y, len_x, len_y] with lengths "
+                    "above zero."
+                )
+        for number, pillar in enumerate(pillars):
+            if len(pillar) != 3 or pillar[2] <= 0:
+                raise ConfigError(
+                    f"pillars[{number}] is {list(pillar)}; expected [x, y, radius] with a radius "
                     "above zero."
                 )
         lists = {
@@ -59,6 +67,8 @@ class NamedScene:
         if jitter_m < 0:
             raise ConfigError(f"jitter_m is {jitter_m}; expected zero or more.")
         self.boxes = torch.tensor([list(box) for box in boxes], dtype=torch.float32).reshape(-1, 4)
+        rows = [list(pillar) for pillar in pillars] or [list(NO_PILLAR)]
+        self.pillars = torch.tensor(rows, dtype=torch.float32)
         self.start_m = torch.tensor(list(start_m), dtype=torch.float32)
         self.goal_m = torch.tensor(list(goal_m), dtype=torch.float32)
         self.origin_m = torch.tensor(list(origin_m), dtype=torch.float32)
@@ -72,6 +82,7 @@ class NamedScene:
         offset[:, :2] = uniform((count, 2), -self.jitter_m, self.jitter_m, generator)
         return Layout(
             boxes_w=self.boxes.expand(count, -1, -1),
+            pillars_w=self.pillars.expand(count, -1, -1),
             origin_w=self.origin_m.expand(count, -1),
             size=self.size_m.expand(count, -1),
             start_w=self.start_m + offset,

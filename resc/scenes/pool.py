@@ -1,6 +1,6 @@
 """The pool of scenes that environments are reset into."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -15,8 +15,19 @@ from resc.maps.cells import extent_of, require_room, shape_of
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
 from resc.scenes.difficulty import eased
-from resc.scenes.layout import Layout, Scene, pad, rasterize
+from resc.scenes.layout import Layout, Plan, Scene, pad, rasterize, sampled
 
+LAID_OUT = (
+    keys.MAP_ORIGIN_W,
+    keys.MAP_SIZE,
+    keys.BOXES_W,
+    keys.PILLARS_W,
+    keys.START_W,
+    keys.START_MOTION,
+    keys.ROUTE_W,
+    keys.ROUTE_LENGTH,
+)
+"""What the pool keeps of a layout, under the names of its fields."""
 CHUNK = 32
 """Maps transformed at once: small enough for the cache."""
 SLACK = 1e-4
@@ -52,7 +63,7 @@ class ScenePool:
         resolution_m: float,
         generator: torch.Generator,
         device: torch.device | str = "cpu",
-        plan: Callable[[Layout], Layout] | None = None,
+        plan: Plan | None = None,
         levels: Sequence[float] = (1.0,),
     ) -> None:
         if size < len(levels):
@@ -75,9 +86,11 @@ class ScenePool:
             keys.MAP_ORIGIN_W: self.layout.origin_w.clone().to(device),
             keys.MAP_SIZE: self.layout.size.clone().to(device),
             keys.BOXES_W: self.layout.boxes_w.clone().to(device),
+            keys.PILLARS_W: self.layout.pillars_w.clone().to(device),
         }
         self.tasks: dict[NestedKey, Tensor] = {
             keys.START_W: self.layout.start_w.clone().to(device),
+            keys.START_MOTION: self.layout.start_motion.clone().to(device),
             keys.ROUTE_W: self.layout.route_w.clone().to(device),
             keys.ROUTE_LENGTH: self.layout.route_length.clone().to(device),
             keys.SCENE_DIFFICULTY: self._difficulty(torch.arange(size)).to(device),
@@ -122,26 +135,21 @@ class ScenePool:
         fits = layout.route_length[:, 0] <= room
         rows = {f.name: getattr(layout, f.name)[fits] for f in fields(Layout)}
         rows["route_w"] = rows["route_w"][:, :room]
-        self._write(entries[fits], pad(Layout(**rows), self.shared[keys.BOXES_W].shape[1], room))
+        there = [self.shared[key].shape[1] for key in (keys.BOXES_W, keys.PILLARS_W)]
+        self._write(entries[fits], pad(Layout(**rows), *there, room))
         return entries[fits]
 
     def state(self) -> dict[str, Tensor | int]:
         """What a checkpoint needs to rebuild the pool; the distance fields are computed again."""
-        names = ("boxes_w", "origin_w", "size", "start_w", "route_w", "route_length")
-        shared = {**self.shared, **self.tasks}
-        by_name = {key[1]: value for key, value in shared.items()}
-        layout = {name: by_name[name].cpu().clone() for name in names}
+        values = {**self.shared, **self.tasks}
+        layout = {key[1]: values[key].cpu().clone() for key in LAID_OUT}
         return {**layout, "head": self.head, "generator": self.generator.get_state()}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Takes a checkpoint's scenes."""
         self.generator.set_state(state["generator"])
         self.head = int(state["head"])
-        fields = {
-            name: state[name]
-            for name in ("boxes_w", "origin_w", "size", "start_w", "route_w", "route_length")
-        }
-        self._write(torch.arange(len(self)), Layout(**fields))
+        self._write(torch.arange(len(self)), layout_from(state))
 
     def _write(self, entries: Tensor, layout: Layout) -> None:
         if len(layout) and any(a > b for a, b in zip(self._cells(layout), self.shape, strict=True)):
@@ -150,15 +158,8 @@ class ScenePool:
                 f"the {self.shape} of the first ones; give scenes one size, or set renew_scenes=0."
             )
         rows = entries.to(self.shared[keys.ESDF].device)
-        fresh = {
-            keys.ESDF: self._transform(layout),
-            keys.MAP_ORIGIN_W: layout.origin_w,
-            keys.MAP_SIZE: layout.size,
-            keys.BOXES_W: layout.boxes_w,
-            keys.START_W: layout.start_w,
-            keys.ROUTE_W: layout.route_w,
-            keys.ROUTE_LENGTH: layout.route_length,
-        }
+        fresh = {key: getattr(layout, key[1]) for key in LAID_OUT}
+        fresh[keys.ESDF] = self._transform(layout)
         for key, value in fresh.items():
             where = self.shared if key in self.shared else self.tasks
             where[key][rows] = value.to(rows.device)
@@ -178,7 +179,7 @@ class ScenePool:
         return lower, share if share > SLACK else 0.0
 
     def _lay_out(self, entries: Int[Tensor, " k"]) -> Layout:
-        layout = self.scene.sample(len(entries), self.generator)
+        layout = sampled(self.scene, len(entries), self.generator, self.plan)
         layout = replace(layout, size=extent_of(layout.size, self.resolution_m))
         if self.levels.tolist() != [1.0]:
             layout = eased(layout, self._difficulty(entries))
@@ -197,12 +198,16 @@ class ScenePool:
 
     def _transform(self, layout: Layout) -> Float[Tensor, "p h w"]:
         parts = []
-        for boxes, origin in zip(
-            layout.boxes_w.split(CHUNK), layout.origin_w.split(CHUNK), strict=True
-        ):
-            occupied = rasterize(boxes, origin, self.shape, self.resolution_m)
+        obstacles = (layout.boxes_w, layout.origin_w, layout.pillars_w)
+        for boxes, origin, pillars in zip(*(part.split(CHUNK) for part in obstacles), strict=True):
+            occupied = rasterize(boxes, origin, self.shape, self.resolution_m, pillars)
             parts.append(distance_transform(occupied, self.resolution_m, TRUNCATION_M))
         return torch.cat(parts)
+
+
+def layout_from(arrays: Mapping[str, Any]) -> Layout:
+    """The scenes that a checkpoint or a recording holds; older ones lack what came later."""
+    return Layout(**{key[1]: arrays[key[1]] for key in LAID_OUT if key[1] in arrays})
 
 
 def _pick(entries: Int[Tensor, " o"], unit: Float[Tensor, " k"]) -> Int[Tensor, " k"]:

@@ -18,12 +18,13 @@ class InitialState(Term):
 
     Speed is uniform up to `speed_mps`, its direction within `heading_rad` of the first control
     point and level; roll and pitch within `tilt_rad`, yaw within `yaw_rad` of the first control
-    point, body rates within `body_rate_radps`. Zeros start at rest. A difficulty scales all
-    ranges: at 0 the vehicle stands level and faces the first control point.
+    point, body rates within `body_rate_radps`. Zeros start at rest. A scene may allow less speed
+    and a lesser angle of it, such as none. A difficulty scales all ranges: at 0 the vehicle stands
+    level and faces the first control point.
     """
 
     section = "task"
-    reads = (keys.START_W, keys.ROUTE_W)
+    reads = (keys.START_W, keys.ROUTE_W, keys.START_MOTION)
     writes = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
     draws = 8
     eases = True
@@ -50,6 +51,7 @@ class InitialState(Term):
         self,
         start: Float[Tensor, "n 3"],
         route: Float[Tensor, "n k 3"],
+        greatest: Float[Tensor, "n 2"],
         unit: Float[Tensor, "n 8"],
         difficulty: Float[Tensor, "n 1"] | None = None,
     ) -> tuple[Tensor, ...]:
@@ -58,8 +60,8 @@ class InitialState(Term):
         signed = uniform_between(unit, -1.0, 1.0)
         if difficulty is not None:
             signed, unit = signed * difficulty, unit * difficulty
-        course = bearing + signed[:, 0] * self.heading_rad
-        speed = unit[:, 1] * self.speed_mps
+        course = bearing + signed[:, 0] * greatest[:, 1].clamp(max=self.heading_rad)
+        speed = unit[:, 1] * greatest[:, 0].clamp(max=self.speed_mps)
         velocity = torch.stack(
             (speed * course.cos(), speed * course.sin(), torch.zeros_like(speed)), -1
         )

@@ -1,0 +1,1 @@
+"""Families of random maps, one a file."""

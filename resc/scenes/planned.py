@@ -1,0 +1,224 @@
+"""Random maps of named families, with routes that a planner found on them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from resc.errors import ConfigError
+from resc.math.geometry import box_distance, pillar_distance
+from resc.math.sampling import uniform
+from resc.quantities import Angle, Count, NotNegative, Positive, Share
+from resc.scenes.family import Family, Obstacles, require_ranges
+from resc.scenes.layout import NO_BOX, NO_PILLAR, Layout, Plan, concatenate, parked
+
+FENCE_M = 0.2
+"""Thickness of the wall around a map."""
+FENCE = ((0, 0, 1, 0), (0, 1, 1, 0), (0, 0, 0, 1), (1, 0, 0, 1))
+"""Where its four sides are, in edges of the part of the map that has obstacles; then how far they
+reach out of it, in thicknesses: `[x, y, len_x, len_y]`."""
+OUTSIDE = ((-1, -1, 2, 1), (-1, 0, 2, 1), (-1, 0, 1, 0), (0, 0, 1, 0))
+CANDIDATES = 12
+"""Points drawn on a map, of which the first free ones are its start and goal."""
+NEAR_M = 1.0
+"""An episode that begins on the way is at least this far from its last control point."""
+
+
+class PlannedScenes:
+    """Random maps with free start and goal, flown along the route that the planner finds.
+
+    The route keeps a clearance that is drawn for each scene, as the planner measures it. An episode
+    takes up to `points` of its control points: from the start on, where it begins at rest, or from
+    a control point on the way on, where it may be in motion. Maps on which the start, the goal or
+    the route between them has too little room are drawn again.
+
+    Args:
+        families: What maps are drawn from, by name; each has a `weight`.
+        size_m: Edge of the square map, its lower-left corner at the origin.
+        margin_m: Border of the map without obstacles.
+        clearance_m: Least and greatest clearance.
+        apart_m: Least distance from start to goal.
+        points: Greatest number of control points of an episode.
+        on_the_way: Share of the episodes that begin on the way.
+        speed_mps: Greatest speed of those as they begin, if the task allows as much.
+        heading_rad: Greatest angle of that speed to the first control point, likewise.
+        height_m: Flight height.
+        height_spread_m: Start and control points differ by up to this from it.
+        tries: How often the map of a scene is drawn before its family is given up.
+        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
+    """
+
+    def __init__(
+        self,
+        *,
+        families: Mapping[str, Family],
+        size_m: Positive = 14.0,
+        margin_m: NotNegative = 1.0,
+        clearance_m: Sequence[NotNegative] = (0.35, 0.5),
+        apart_m: Positive = 3.0,
+        points: Count = 6,
+        on_the_way: Share = 0.7,
+        speed_mps: NotNegative = 2.0,
+        heading_rad: Angle = 0.35,
+        height_m: Positive = 1.0,
+        height_spread_m: NotNegative = 0.1,
+        tries: Count = 100,
+        difficulty: str | None = None,
+    ) -> None:
+        if not families:
+            raise ConfigError("families is empty; name at least one family of maps.")
+        require_ranges(clearance_m=clearance_m)
+        self.side_m = size_m - 2 * margin_m
+        if self.side_m <= apart_m:
+            raise ConfigError(
+                f"size_m is {size_m}; within a margin of {margin_m} m a start and a goal "
+                f"{apart_m} m apart need more."
+            )
+        self.families = families
+        self.size_m = size_m
+        self.margin_m = margin_m
+        self.clearance_m = clearance_m
+        self.apart_m = apart_m
+        self.points = points
+        self.on_the_way = on_the_way
+        self.start_motion = (speed_mps, heading_rad)
+        self.height_m = height_m
+        self.height_spread_m = height_spread_m
+        self.tries = tries
+        self.difficulty = difficulty
+        self.room = self._rooms()
+
+    def sample(self, count: int, generator: torch.Generator) -> Layout:
+        """Maps with a start and a goal, but no promise of a route between them."""
+        return self._draw(self._choose(count, generator), generator)
+
+    def sample_routed(self, count: int, generator: torch.Generator, plan: Plan) -> Layout:
+        """Lays out `count` episodes along planned routes.
+
+        Raises:
+            ConfigError: A family found no free route in `tries` maps of one scene.
+        """
+        family = self._choose(count, generator)
+        missing, found, layouts = torch.arange(count), [], []
+        for _ in range(self.tries):
+            drawn = plan(self._draw(family[missing], generator))
+            good = (drawn.route_length[:, 0] > 0) & self._apart(drawn)
+            layouts.append(_rows(drawn, good))
+            found.append(missing[good])
+            missing = missing[~good]
+            if not len(missing):
+                order = torch.cat(found).argsort()
+                return self._episodes(_rows(concatenate(layouts), order), generator)
+        name = list(self.families)[int(family[missing[0]])]
+        raise ConfigError(
+            f"scene.families.{name} found no free route in {self.tries} tries: from a start to a "
+            f"goal {self.apart_m:g} m away, {self.clearance_m[0]:g} to {self.clearance_m[1]:g} m "
+            "from obstacles; give it fewer or smaller obstacles, or lower clearance_m or apart_m."
+        )
+
+    def _choose(self, count: int, generator: torch.Generator) -> Int[Tensor, " p"]:
+        """A family for each scene, by their weights."""
+        weights = torch.tensor([family.weight for family in self.families.values()])
+        return torch.multinomial(weights, count, replacement=True, generator=generator)
+
+    def _rooms(self) -> tuple[int, int]:
+        """How many boxes and pillars a map has room for: as many as that of any family."""
+        generator = torch.Generator().manual_seed(0)
+        one = [kind.obstacles(1, self.side_m, generator) for kind in self.families.values()]
+        boxes, pillars = (max(kind.shape[1] for kind in kinds) for kinds in zip(*one, strict=True))
+        return boxes + len(FENCE), pillars
+
+    def _draw(self, family: Int[Tensor, " p"], generator: torch.Generator) -> Layout:
+        """Maps of these families, each with a start, a goal and a clearance."""
+        count = len(family)
+        clearance = uniform((count, 1), *self.clearance_m, generator=generator)
+        obstacles = self._obstacles(family, generator)
+        low, high = self.margin_m, self.size_m - self.margin_m
+        points = uniform((count, CANDIDATES, 2), low, high, generator)
+        free = _room(points, obstacles) >= clearance
+        free &= (points.amin(-1) >= low + clearance) & (points.amax(-1) <= high - clearance)
+        start = points[torch.arange(count), free.int().argmax(1)]
+        far = torch.linalg.vector_norm(points - start.unsqueeze(1), dim=-1) >= self.apart_m
+        goal = points[torch.arange(count), (free & far).int().argmax(1)]
+        height = torch.full((count, 1), self.height_m)
+        return Layout(
+            boxes_w=obstacles.boxes,
+            pillars_w=obstacles.pillars,
+            origin_w=torch.zeros(count, 2),
+            size=torch.full((count, 2), float(self.size_m)),
+            start_w=torch.cat((start, height), -1),
+            route_w=torch.cat((goal, height), -1).unsqueeze(1),
+            route_length=torch.zeros(count, 1, dtype=torch.int64),
+            clearance=clearance,
+        )
+
+    def _obstacles(self, family: Int[Tensor, " p"], generator: torch.Generator) -> Obstacles:
+        """Obstacles of maps of these families, each with its share of fences."""
+        side, parts, order = self.side_m, [], []
+        edges = torch.tensor(FENCE) * side + torch.tensor(OUTSIDE) * FENCE_M
+        for number, kind in enumerate(self.families.values()):
+            rows = (family == number).nonzero()[:, 0]
+            if not len(rows):
+                continue
+            order.append(rows)
+            boxes, pillars = kind.obstacles(len(rows), side, generator)
+            fenced = uniform((len(rows), 1, 1), 0, 1, generator) < kind.fence
+            fence = torch.where(fenced, edges, edges.new_tensor(NO_BOX))
+            parts.append(Obstacles(torch.cat((fence, boxes), 1), pillars))
+        back = torch.cat(order).argsort()
+        kinds = []
+        for none, room, of_kind in zip(
+            (NO_BOX, NO_PILLAR), self.room, zip(*parts, strict=True), strict=True
+        ):
+            batch = torch.cat([parked(part, none, room) for part in of_kind])[back]
+            batch[..., :2] += self.margin_m
+            kinds.append(batch)
+        return Obstacles(*kinds)
+
+    def _apart(self, layout: Layout) -> Bool[Tensor, " p"]:
+        last = layout.route_w[torch.arange(len(layout)), (layout.route_length[:, 0] - 1).clamp(0)]
+        return torch.linalg.vector_norm(last - layout.start_w, dim=-1) >= self.apart_m
+
+    def _episodes(self, layout: Layout, generator: torch.Generator) -> Layout:
+        """Each scene cut to the part of its route that its episodes fly."""
+        count, length = len(layout), layout.route_length
+        way = torch.cat((layout.start_w.unsqueeze(1), layout.route_w), 1)
+        spread = uniform((count, way.shape[1], 1), -1, 1, generator) * self.height_spread_m
+        way = way + torch.cat((torch.zeros(count, way.shape[1], 2), spread), -1)
+        moving, where = uniform((count, 2), 0, 1, generator).split(1, 1)
+        begin = 1 + (where * (length - 1)).long()
+        begin = begin.minimum(length - 1) * (moving < self.on_the_way)
+        end = (begin + self.points).minimum(length)
+        start, last = (_point(way, index) for index in (begin, end))
+        too_near = torch.linalg.vector_norm(last - start, dim=-1, keepdim=True) < NEAR_M
+        begin = torch.where(too_near, 0, begin)
+        end = (begin + self.points).minimum(length)
+        ahead = (begin + 1 + torch.arange(self.points)).minimum(end)
+        motion = torch.tensor(self.start_motion) * (begin > 0)
+        return replace(
+            layout,
+            start_w=_point(way, begin),
+            route_w=way.gather(1, ahead.unsqueeze(-1).expand(-1, -1, 3)),
+            route_length=end - begin,
+            start_motion=motion,
+        )
+
+
+def _rows(layout: Layout, which: Tensor) -> Layout:
+    """Some scenes of a batch."""
+    return Layout(**{f.name: getattr(layout, f.name)[which] for f in fields(Layout)})
+
+
+def _room(points: Float[Tensor, "p c 2"], obstacles: Obstacles) -> Float[Tensor, "p c"]:
+    """Distance [m] of each point to the nearest obstacle."""
+    nearest = []
+    for point in points.unbind(1):
+        boxes = box_distance(point, obstacles.boxes).amin(1)
+        nearest.append(torch.minimum(boxes, pillar_distance(point, obstacles.pillars).amin(1)))
+    return torch.stack(nearest, 1)
+
+
+def _point(way: Float[Tensor, "p r 3"], index: Int[Tensor, "p 1"]) -> Float[Tensor, "p 3"]:
+    return way.gather(1, index.unsqueeze(-1).expand(-1, 1, 3))[:, 0]
