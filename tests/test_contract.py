@@ -113,9 +113,8 @@ def flight(make_env):
     world = {key: env.value_of(key) for key in stages.persistent}
     tensors = {**env.pool.shared, **world, ACTION: torch.rand(COUNT, 4, generator=generator) - 0.5}
     tensors |= {key: world[key[1:]].clone() for key in stages.memory}
-    tensors[("task", "start_w")] = env.pool.tasks[("task", "start_w")][
-        world[("scene", "index")][:, 0]
-    ]
+    for key in (("task", "start_w"), ("task", "start_motion")):
+        tensors[key] = env.pool.tasks[key][world[("scene", "index")][:, 0]]
     for term in (
         terms.action,
         terms.rate_loop,
@@ -361,7 +360,8 @@ def test_a_scene_lays_out_finite_scenes(load_part, name, count):
     scene = build(load_part("scene", name), "scene")
     layout, again = (scene.sample(count, torch.Generator().manual_seed(0)) for _ in range(2))
     assert len(layout) == count
-    for field in ("boxes_w", "origin_w", "size", "start_w", "route_w", "route_length"):
+    fields = ("boxes_w", "pillars_w", "origin_w", "size", "start_w", "route_w", "route_length")
+    for field in fields:
         assert getattr(layout, field).shape[0] == count
         assert getattr(layout, field).isfinite().all()
         assert torch.equal(getattr(layout, field), getattr(again, field))

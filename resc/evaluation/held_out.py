@@ -27,8 +27,8 @@ Episodes = dict[str, np.ndarray]
 def tabulate_episodes(flights: Flights, pool: ScenePool) -> Episodes:
     """One entry per episode under every column; episode i flies in scene i of the pool.
 
-    `obstacles` counts boxes and pillars, `density` is the occupied share of the ground near the route,
-    `time_s` lasts from the start to the end of the episode, whatever ended it.
+    `obstacles` counts boxes and pillars, `density` is the occupied share of the ground near the
+    route, `time_s` lasts from the start to the end of the episode, whatever ended it.
     """
     boxes, pillars = pool.layout.boxes_w, pool.layout.pillars_w
     return {

@@ -59,10 +59,12 @@ def _square(
                 added = F(k * k)
                 if added >= most:
                     break
-                if y >= k:
-                    _lower(best, squared[y - k], added)
-                if y + k < height:
-                    _lower(best, squared[y + k], added)
+                # Beyond the border the row on the other side stands in: it counts anyway.
+                low, high = y - k, y + k
+                if low < 0 and high >= height:
+                    break
+                low, high = low if low >= 0 else high, high if high < height else low
+                _lower(best, squared[low], squared[high], added)
                 if k % 4 == 0:
                     most = _greatest(best)
 
@@ -86,9 +88,14 @@ def _square_along_row(occupied: Bool[np.ndarray, " w"], squared: Float32[np.ndar
 
 @njit(error_model="numpy", fastmath={"nnan", "nsz"})
 @no_type_check
-def _lower(best: Float32[np.ndarray, " w"], row: Float32[np.ndarray, " w"], added: float) -> None:
+def _lower(
+    best: Float32[np.ndarray, " w"],
+    below: Float32[np.ndarray, " w"],
+    above: Float32[np.ndarray, " w"],
+    added: float,
+) -> None:
     for x in range(best.size):
-        best[x] = min(best[x], row[x] + added)
+        best[x] = min(best[x], min(below[x], above[x]) + added)
 
 
 @njit(error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})

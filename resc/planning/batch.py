@@ -100,7 +100,9 @@ def _plan(
 
 @njit(cache=True)
 @no_type_check
-def _end(point: Float64[np.ndarray, " 2"], frame: tuple[float, float, float]):
+def _end(
+    point: Float64[np.ndarray, " 2"], frame: tuple[float, float, float]
+) -> tuple[float, float, int, int]:
     """The point [m] and its cell, as the visibility search locates it."""
     x0_m, y0_m, size_m = frame
     column = floor((point[0] - x0_m) / size_m + 0.5 + 1e-9)

@@ -69,7 +69,7 @@ def no_pillars(count: int) -> Float[Tensor, "p 1 3"]:
     return torch.tensor(NO_PILLAR).expand(count, 1, 3)
 
 
-def require_ranges(**ranges: Sequence[float]) -> None:
+def require_ranges(**ranges: Sequence[int | float]) -> None:
     """Raises ConfigError for what is no [least, greatest]."""
     for name, numbers in ranges.items():
         if len(numbers) != 2 or numbers[0] > numbers[1]:

@@ -11,7 +11,7 @@ from resc.scenes.layout import NO_PILLAR, Layout
 
 
 class NamedScene:
-    """A fixed set of boxes and pillars; every sample starts within `jitter_m` of the start in x and y.
+    """A fixed set of obstacles; every sample starts within `jitter_m` of the start in x and y.
 
     Args:
         boxes: `[x, y, len_x, len_y]` from the lower-left corner [m].

@@ -12,7 +12,7 @@ from resc.math.geometry import box_distance, pillar_distance
 from resc.math.sampling import uniform
 from resc.quantities import Angle, Count, NotNegative, Positive, Share
 from resc.scenes.family import Family, Obstacles, require_ranges
-from resc.scenes.layout import NO_BOX, NO_PILLAR, Layout, Plan, concatenate, parked
+from resc.scenes.layout import NO_BOX, NO_PILLAR, PARKED_M, Layout, Plan, concatenate, parked
 
 FENCE_M = 0.2
 """Thickness of the wall around a map."""
@@ -173,7 +173,7 @@ class PlannedScenes:
             (NO_BOX, NO_PILLAR), self.room, zip(*parts, strict=True), strict=True
         ):
             batch = torch.cat([parked(part, none, room) for part in of_kind])[back]
-            batch[..., :2] += self.margin_m
+            batch[..., :2] += self.margin_m * (batch[..., :1] < PARKED_M)
             kinds.append(batch)
         return Obstacles(*kinds)
 

@@ -135,8 +135,8 @@ class ScenePool:
         fits = layout.route_length[:, 0] <= room
         rows = {f.name: getattr(layout, f.name)[fits] for f in fields(Layout)}
         rows["route_w"] = rows["route_w"][:, :room]
-        there = [self.shared[key].shape[1] for key in (keys.BOXES_W, keys.PILLARS_W)]
-        self._write(entries[fits], pad(Layout(**rows), *there, room))
+        boxes, pillars = (self.shared[key].shape[1] for key in (keys.BOXES_W, keys.PILLARS_W))
+        self._write(entries[fits], pad(Layout(**rows), boxes, pillars, room))
         return entries[fits]
 
     def state(self) -> dict[str, Tensor | int]:

@@ -50,6 +50,18 @@ def test_surface_clearance_is_exact_signed_and_from_the_own_map():
     boxes = torch.tensor(
         [[[1.0, 0.0, 1.0, 1.0], [5.0, 5.0, 1.0, 1.0]], [[0.0, 0.0, 2.0, 2.0], [1e6, 1e6, 0.0, 0.0]]]
     )
+    none = torch.tensor([1e6, 1e6, 0.0]).expand(2, 1, 3)
     position = torch.tensor([[0.0, 0.5, 1.0], [0.5, 1.0, 1.0], [5.0, 6.0, 0.0]])
-    clearance = SurfaceClearance().compute(position, torch.tensor([[0], [1], [1]]), boxes)
+    clearance = SurfaceClearance().compute(position, torch.tensor([[0], [1], [1]]), boxes, none)
     assert_close(clearance, torch.tensor([[1.0], [-0.5], [math.hypot(3, 4)]]))
+
+
+def test_surface_clearance_of_a_pillar_is_that_of_a_circle_not_of_its_cells():
+    boxes = torch.tensor([1e6, 1e6, 0.0, 0.0]).expand(2, 1, 4)
+    pillars = torch.tensor(
+        [[[3.0, 4.0, 0.25], [9.0, 9.0, 1.0]], [[1.0, 1.0, 0.5], [1e6, 1e6, 0.0]]]
+    )
+    position = torch.tensor([[0.0, 0.0, 1.0], [1.0, 1.2, 0.0], [1.0, 1.0, 0.0]])
+    entry = torch.tensor([[0], [1], [1]])
+    clearance = SurfaceClearance().compute(position, entry, boxes, pillars)
+    assert_close(clearance, torch.tensor([[4.75], [-0.3], [-0.5]]))

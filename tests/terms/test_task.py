@@ -95,7 +95,7 @@ def test_an_impossible_column_is_refused(wrong):
         ControlPoints(**wrong)
 
 
-def begin(unit, **options):
+def begin(unit, allowed=(math.inf, math.inf), **options):
     """How a flight from (5, 5, 1) to (5, 7, 1.1) begins, given the uniform numbers drawn."""
     start, route = (
         torch.tensor([[5.0, 5.0, 1.0]]),
@@ -103,7 +103,10 @@ def begin(unit, **options):
     )
     count = len(unit)
     return InitialState(**options).compute(
-        start.expand(count, -1), route.expand(count, -1, -1), unit
+        start.expand(count, -1),
+        route.expand(count, -1, -1),
+        torch.tensor([allowed]).expand(count, 2),
+        unit,
     )
 
 
@@ -143,6 +146,19 @@ def test_draws_stay_within_their_ranges_and_reach_them():
     assert_close(velocity[:, 2], torch.zeros(4000))
     for mean in (course.mean(), rate.mean(), euler[:, :2].mean()):
         assert abs(mean) < 0.03
+
+
+def test_a_scene_may_allow_less_motion_than_the_task_would_draw():
+    unit = torch.rand(500, 8, generator=torch.Generator().manual_seed(0))
+    _, slower, _, _ = begin(unit, allowed=(0.5, 0.1), speed_mps=2.0, heading_rad=0.8)
+    course = torch.atan2(slower[:, 1], slower[:, 0]) - math.pi / 2
+    assert 0.49 < slower.norm(dim=-1).max() <= 0.5
+    assert 0.09 < course.abs().max() <= 0.1001
+    _, resting, _, _ = begin(unit, allowed=(0.0, 0.0), speed_mps=2.0, heading_rad=0.8)
+    assert torch.equal(resting, torch.zeros(500, 3))
+    _, same, _, _ = begin(unit, allowed=(3.0, 1.0), speed_mps=2.0, heading_rad=0.8)
+    _, as_ever, _, _ = begin(unit, speed_mps=2.0, heading_rad=0.8)
+    assert torch.equal(same, as_ever)
 
 
 @pytest.mark.parametrize(

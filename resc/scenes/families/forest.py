@@ -1,7 +1,6 @@
 """Boxes and round pillars, strewn about."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 
@@ -28,7 +27,7 @@ class Forest(Family):
         pillars: Share = 0.5,
         edge_m: Sequence[Positive] = (0.2, 0.8),
         radius_m: Sequence[Positive] = (0.1, 0.4),
-        **options: Any,
+        **options: float,
     ) -> None:
         super().__init__(**options)
         require_ranges(number=number, edge_m=edge_m, radius_m=radius_m)

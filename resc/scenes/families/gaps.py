@@ -1,7 +1,6 @@
 """Walls from one side of the map to the other, each with a narrow gap."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 
@@ -32,7 +31,7 @@ class Gaps(Family):
         thickness_m: Sequence[Positive] = (0.2, 1.0),
         between_m: Positive = 1.6,
         fence: Share = 1.0,
-        **options: Any,
+        **options: float,
     ) -> None:
         super().__init__(fence=fence, **options)
         require_ranges(number=number, gap_m=gap_m, thickness_m=thickness_m)

@@ -1,7 +1,6 @@
 """Two families on one map."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 
@@ -22,7 +21,9 @@ class Mixture(Family):
         **options: `weight` and `fence`.
     """
 
-    def __init__(self, *, parts: Mapping[str, Family], least: Share = 0.3, **options: Any) -> None:
+    def __init__(
+        self, *, parts: Mapping[str, Family], least: Share = 0.3, **options: float
+    ) -> None:
         super().__init__(**options)
         if len(parts) < 2:
             raise ConfigError(f"parts is {list(parts)}; a mixture needs two families or more.")

@@ -1,7 +1,6 @@
 """Rooms and corridors with doors."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -36,9 +35,9 @@ class Rooms(Family):
         thickness_m: Sequence[Positive] = (0.1, 0.4),
         door_m: Sequence[Positive] = (1.1, 2.0),
         closed: Share = 0.1,
-        open: Share = 0.2,  # noqa: A002 - a setting's name
+        open: Share = 0.2,
         fence: Share = 1.0,
-        **options: Any,
+        **options: float,
     ) -> None:
         super().__init__(fence=fence, **options)
         require_ranges(columns=columns, thickness_m=thickness_m, door_m=door_m)

@@ -1,7 +1,6 @@
 """Walls along the axes, with a few boxes among them."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 
@@ -38,7 +37,7 @@ class Walls(Family):
         thickness_m: Sequence[Positive] = (0.2, 1.0),
         boxes: Sequence[CountOrNone] = (0, 7),
         edge_m: Sequence[Positive] = (0.2, 0.8),
-        **options: Any,
+        **options: float,
     ) -> None:
         super().__init__(**options)
         require_ranges(
