@@ -7,7 +7,15 @@ import torch
 
 from resc import keys
 from resc.errors import ConfigError, RecordingError
-from resc.evaluation.replay import compare, fly_again, parse, put_back, replay
+from resc.evaluation.replay import (
+    compare,
+    environment_in,
+    fly_again,
+    parse,
+    put_back,
+    recorded_config,
+    replay,
+)
 from resc.learning.assemble import build_trainer
 from resc.learning.ppo import RENEWED
 from resc.learning.progress import CsvLogger, ProgressTable
@@ -26,6 +34,8 @@ RUN = (
     "model.hidden=[16]",
     "recorder=mcap",
 )
+LATER = ("pillars_w", "start_motion")
+"""Arrays of scenes that older recordings lack."""
 EVERYTHING = (
     "randomization=[mass,inertia,thrust_map,torque_coefficient,action_delay]",
     "rate_loop=torque",
@@ -70,6 +80,17 @@ def test_an_episode_of_a_training_run_comes_out_again_bit_for_bit(recording):
         result = fly_again(f"{recording}#{number}")
         assert result.largest == 0.0, result.report()
         assert result.steps == episodes["length"][number]
+
+
+def test_an_episode_recorded_before_there_were_pillars_comes_out_again(recording):
+    log = RolloutLog(recording)
+    old = {n: a.unsqueeze(0) for n, a in log.scene(0).items() if n not in LATER}
+    assert len(old) == len(log.scene(0)) - len(LATER)
+    env = environment_in(recorded_config(log), old, 8)
+    put_back(env, log.start(0))
+    row = int(log.episodes["env_id"][0])
+    deviations = compare(env, log.episode(0), row, cut=log.episodes["outcome"][0] == RENEWED)
+    assert max(deviations.values()) == 0.0
 
 
 def test_another_action_is_noticed(recording):

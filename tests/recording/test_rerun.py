@@ -100,6 +100,16 @@ def test_scene_observation_and_log_are_there(log, chunks):
     assert times[-1] == pytest.approx(steps * 0.02)
 
 
+def test_pillars_are_round(log, tmp_path):
+    from resc.recording.rerun_scene import write_rerun
+
+    pillars = torch.tensor([[2.5, 0.4, 0.25], [PARKED_M, PARKED_M, 0.0]]).expand(2, 2, 3)
+    run = copy_of(log, tmp_path / "run", world={**log.world, "pillars_w": pillars})
+    path = write_rerun(run, 0, tmp_path / "scene.rrd")
+    entities = {str(chunk.entity_path) for chunk in rr.chunk.RrdReader(path).stream()}
+    assert "/world/pillars" in entities
+
+
 def test_scene_without_obstacles_is_a_recording(log, tmp_path):
     from resc.recording.rerun_scene import write_rerun
 

@@ -23,6 +23,8 @@ from resc.recording.layouts import DEFAULT
 from resc.scenes.layout import PARKED_M
 
 DT_NS = 20_000_000
+LATER = ("pillars_w", "start_motion")
+"""Arrays of scenes that older recordings lack."""
 ON_EVERY_STEP = (
     ("/tf", "foxglove.FrameTransform"),
     ("/drone/pose", "foxglove.PoseInFrame"),
@@ -311,6 +313,37 @@ def test_scene_without_obstacles_is_a_scene(log, tmp_path):
     assert found["/world/obstacle_points"].data == b""
     distances = np.frombuffer(found["/map/esdf_slice"].data, "<f4")[::2]
     assert (distances == 3.0).all()  # where the distance field ends
+
+
+def test_pillars_are_cylinders_and_round_in_the_map(log, tmp_path):
+    pillars = torch.tensor([[2.5, 0.4, 0.25], [PARKED_M, PARKED_M, 0.0]]).expand(2, 2, 3)
+    run = copy_of(log, tmp_path / "run", world={**log.world, "pillars_w": pillars})
+    with write_scene(run, 0, tmp_path / "scene.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = {
+            channel.topic: decoded for _, channel, _, decoded in reader.iter_decoded_messages()
+        }
+    (pillar,) = found["/world/obstacles"].entities[0].cylinders
+    assert (pillar.size.x, pillar.size.y) == (0.5, 0.5)
+    assert (pillar.pose.position.x, pillar.pose.position.y) == pytest.approx((2.5, 0.4))
+    points = np.frombuffer(found["/world/obstacle_points"].data, np.uint8)
+    places = points.reshape(-1, found["/world/obstacle_points"].point_stride)[:, :12].copy()
+    x, y, _ = places.view("<f4").T
+    reach = np.hypot(x - 2.5, y - 0.4)
+    assert (reach <= 0.2501).sum() > 100
+    distance = np.frombuffer(found["/map/esdf_slice"].data, "<f4")[::2].reshape(20, 50)
+    assert distance[4, 24] == 0.0
+    assert distance[1, 22] > 0.0  # the corner of the square about it
+
+
+def test_recordings_from_before_there_were_pillars_are_drawn_as_ever(log, path, tmp_path):
+    world = {key: value for key, value in log.world.items() if key not in LATER}
+    assert len(world) == len(log.world) - len(LATER)
+    old = load_scene(copy_of(log, tmp_path / "old", world=world), 0).place
+    new = load_scene(log, 0).place
+    assert torch.equal(old.esdf, new.esdf)
+    assert torch.equal(old.boxes, new.boxes)
+    assert len(old.pillars) == len(new.pillars) == 0
 
 
 def test_config_that_names_a_foreign_class_needs_leave_to_build_it(log, tmp_path):
