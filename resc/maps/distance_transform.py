@@ -20,13 +20,13 @@ def distance_transform(
 ) -> Float[Tensor, "p h w"]:
     """Distance [m] from each cell centre to the nearest occupied one, at most `truncation_m`.
 
-    Separable and exact: squared integer distances along the rows, then over the columns
-    min over k of (g(y + k)^2 + k^2), until k^2 alone is more than is found. Truncation bounds |k|,
-    so its cost is at most P H W min(H, truncation). An empty map holds the truncation, or infinity
+    Separable and exact: squared integer distances along the columns, then over the rows
+    min over k of (g(x + k)^2 + k^2), until k^2 alone is more than is found. Truncation bounds |k|,
+    so its cost is at most P H W min(W, truncation). An empty map holds the truncation, or infinity
     without one.
     """
-    height = occupied.shape[1]
-    reach = height if truncation_m is None else min(height, int(truncation_m / resolution_m) + 1)
+    width = occupied.shape[2]
+    reach = width if truncation_m is None else min(width, int(truncation_m / resolution_m) + 1)
     given = np.ascontiguousarray(occupied.cpu().numpy())
     squared = np.empty(given.shape, F)
     share_out(_square, len(given), torch.get_num_threads(), given, squared, reach, least=LEAST)
@@ -45,57 +45,50 @@ def _square(
 ) -> None:
     """Writes squared distances in cells; those of `reach` and more may be too great."""
     _, height, width = occupied.shape
-    squared = np.empty((height, width), F)
+    row = np.full(width + 2 * reach, F(np.inf), F)  # nothing beyond the map
     for n in range(first, last):
-        for y in range(height):
-            _square_along_row(occupied[n, y], squared[y])
+        _along_columns(occupied[n], result[n])
         for y in range(height):
             best = result[n, y]
             most = F(0.0)
             for x in range(width):
-                best[x] = squared[y, x]
+                best[x] = best[x] * best[x]
+                row[reach + x] = best[x]
                 most = max(most, best[x])
             for k in range(1, reach):
                 added = F(k * k)
                 if added >= most:
                     break
-                # Beyond the border the row on the other side stands in: it counts anyway.
-                low, high = y - k, y + k
-                if low < 0 and high >= height:
-                    break
-                low, high = low if low >= 0 else high, high if high < height else low
-                _lower(best, squared[low], squared[high], added)
+                _lower(best, row[reach - k :], row[reach + k :], added)
                 if k % 4 == 0:
                     most = _greatest(best)
 
 
 @njit(error_model="numpy")
 @no_type_check
-def _square_along_row(occupied: Bool[np.ndarray, " w"], squared: Float32[np.ndarray, " w"]) -> None:
-    """Squared cells to the nearest occupied cell of the same row; infinity in an empty row."""
-    width = occupied.size
-    gap = F(np.inf)
+def _along_columns(occupied: Bool[np.ndarray, "h w"], gap: Float32[np.ndarray, "h w"]) -> None:
+    """Cells to the nearest occupied cell of the same column; infinity in an empty column."""
+    height, width = occupied.shape
     for x in range(width):
-        gap = F(0.0) if occupied[x] else gap + F(1.0)
-        squared[x] = gap
-    gap = F(np.inf)
-    for n in range(width):
-        x = width - 1 - n
-        gap = F(0.0) if occupied[x] else gap + F(1.0)
-        nearest = min(squared[x], gap)
-        squared[x] = nearest * nearest
+        gap[0, x] = F(0.0) if occupied[0, x] else F(np.inf)
+    for y in range(1, height):
+        for x in range(width):
+            gap[y, x] = F(0.0) if occupied[y, x] else gap[y - 1, x] + F(1.0)
+    for y in range(height - 2, -1, -1):
+        for x in range(width):
+            gap[y, x] = min(gap[y, x], gap[y + 1, x] + F(1.0))
 
 
 @njit(error_model="numpy", fastmath={"nnan", "nsz"})
 @no_type_check
 def _lower(
     best: Float32[np.ndarray, " w"],
-    below: Float32[np.ndarray, " w"],
-    above: Float32[np.ndarray, " w"],
+    left: Float32[np.ndarray, " longer"],
+    right: Float32[np.ndarray, " longer"],
     added: float,
 ) -> None:
     for x in range(best.size):
-        best[x] = min(best[x], min(below[x], above[x]) + added)
+        best[x] = min(best[x], min(left[x], right[x]) + added)
 
 
 @njit(error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})

@@ -69,6 +69,12 @@ class PlannedScenes:
     ) -> None:
         if not families:
             raise ConfigError("families is empty; name at least one family of maps.")
+        for name, family in families.items():
+            if not isinstance(family, Family):
+                raise ConfigError(
+                    f"families.{name} is {family!r}, which is no family of maps; name a class "
+                    "derived from resc.scenes.family.Family."
+                )
         require_ranges(clearance_m=clearance_m)
         self.side_m = size_m - 2 * margin_m
         if self.side_m <= apart_m:
