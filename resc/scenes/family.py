@@ -1,8 +1,8 @@
 """What a family of random maps is, and what families share."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -67,6 +67,16 @@ def whole(count: int, number: Sequence[int], generator: torch.Generator) -> Int[
 def no_pillars(count: int) -> Float[Tensor, "p 1 3"]:
     """The pillars of maps without any."""
     return torch.tensor(NO_PILLAR).expand(count, 1, 3)
+
+
+def require_families(name: str, families: Mapping[str, Any]) -> None:
+    """Raises ConfigError for a part of a configuration that is no family."""
+    for part, family in families.items():
+        if not isinstance(family, Family):
+            raise ConfigError(
+                f"{name}.{part} is {family!r}, which is no family of maps; name a class derived "
+                "from resc.scenes.family.Family."
+            )
 
 
 def require_ranges(**ranges: Sequence[int | float]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -11,7 +12,7 @@ from resc.errors import ConfigError
 from resc.math.geometry import box_distance, pillar_distance
 from resc.math.sampling import uniform
 from resc.quantities import Angle, Count, NotNegative, Positive, Share
-from resc.scenes.family import Family, Obstacles, require_ranges
+from resc.scenes.family import Family, Obstacles, require_families, require_ranges
 from resc.scenes.layout import NO_BOX, NO_PILLAR, PARKED_M, Layout, Plan, concatenate, parked
 
 FENCE_M = 0.2
@@ -53,7 +54,7 @@ class PlannedScenes:
     def __init__(
         self,
         *,
-        families: Mapping[str, Family],
+        families: Mapping[str, Any],
         size_m: Positive = 14.0,
         margin_m: NotNegative = 1.0,
         clearance_m: Sequence[NotNegative] = (0.35, 0.5),
@@ -69,12 +70,7 @@ class PlannedScenes:
     ) -> None:
         if not families:
             raise ConfigError("families is empty; name at least one family of maps.")
-        for name, family in families.items():
-            if not isinstance(family, Family):
-                raise ConfigError(
-                    f"families.{name} is {family!r}, which is no family of maps; name a class "
-                    "derived from resc.scenes.family.Family."
-                )
+        require_families("families", families)
         require_ranges(clearance_m=clearance_m)
         self.side_m = size_m - 2 * margin_m
         if self.side_m <= apart_m:
@@ -82,7 +78,7 @@ class PlannedScenes:
                 f"size_m is {size_m}; within a margin of {margin_m} m a start and a goal "
                 f"{apart_m} m apart need more."
             )
-        self.families = families
+        self.families: Mapping[str, Family] = families
         self.size_m = size_m
         self.margin_m = margin_m
         self.clearance_m = clearance_m

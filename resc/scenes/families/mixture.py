@@ -1,13 +1,14 @@
 """Two families on one map."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 
 from resc.errors import ConfigError
 from resc.math.sampling import uniform
 from resc.quantities import Share
-from resc.scenes.family import Family, Obstacles, where
+from resc.scenes.family import Family, Obstacles, require_families, where
 
 
 class Mixture(Family):
@@ -21,13 +22,12 @@ class Mixture(Family):
         **options: `weight` and `fence`.
     """
 
-    def __init__(
-        self, *, parts: Mapping[str, Family], least: Share = 0.3, **options: float
-    ) -> None:
+    def __init__(self, *, parts: Mapping[str, Any], least: Share = 0.3, **options: float) -> None:
         super().__init__(**options)
         if len(parts) < 2:
             raise ConfigError(f"parts is {list(parts)}; a mixture needs two families or more.")
-        self.parts = parts
+        require_families("parts", parts)
+        self.parts: Mapping[str, Family] = parts
         self.least = min(least, 1 - least)
 
     def obstacles(self, count: int, side_m: float, generator: torch.Generator) -> Obstacles:
