@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Rectangle
 
 from resc.evaluation.colours import BOUND, FRAME, OBSTACLE, PLAN, SPEED, TEXT
 from resc.evaluation.references import Reference
@@ -47,8 +47,11 @@ def draw_references(references: Sequence[Reference], path: Path) -> None:
 
 def _draw(axes: Axes, reference: Reference, norm: Normalize) -> LineCollection:
     crossing = reference.crossing
-    boxes = [Rectangle((x, y), w, h) for x, y, w, h in crossing.boxes]
-    axes.add_collection(PatchCollection(boxes, facecolor=OBSTACLE, edgecolor="none"))
+    shapes = [
+        Circle((x, y), *rest) if len(rest) == 1 else Rectangle((x, y), *rest)
+        for x, y, *rest in crossing.boxes
+    ]
+    axes.add_collection(PatchCollection(shapes, facecolor=OBSTACLE, edgecolor="none"))
     position, velocity, _ = reference.fastest.at(np.linspace(0, reference.fastest.duration_s, 200))
     pieces = list(np.stack((position[:-1, :2], position[1:, :2]), 1))
     lines = LineCollection(pieces, cmap=SPEED, norm=norm, linewidths=1.8, capstyle="round")

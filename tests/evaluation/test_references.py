@@ -116,6 +116,15 @@ def test_order_of_boxes_and_boxes_that_do_not_exist_change_no_reference(corridor
     assert same == crossings(layout, course.nominal_w, LIMITS)
 
 
+def test_a_pillar_makes_it_another_scene(corridor):
+    course = corridor(1)
+    pillars = torch.tensor([[[3.0, 1.0, 0.25], [1e6, 1e6, 0.0]]])
+    (with_it,) = crossings(replace(course.layout, pillars_w=pillars), course.nominal_w, LIMITS)
+    (without,) = crossings(course.layout, course.nominal_w, LIMITS)
+    assert set(with_it.boxes) == {*without.boxes, (3.0, 1.0, 0.25)}
+    assert digest(with_it) != digest(without)
+
+
 def test_reference_is_read_as_it_was_kept_beside_the_others(made_up, tmp_path):
     path = tmp_path / "mine" / "references.json"
     other = replace(made_up, crossing=replace(made_up.crossing, goal_m=(5.0, 1.0, 1.0)))

@@ -95,6 +95,21 @@ def test_box_on_the_way_is_passed_at_the_margin():
     assert np.hypot(*beside.T).min() >= 0.3
 
 
+@solving
+def test_pillar_on_the_way_is_passed_round_at_the_margin():
+    crossing = replace(EMPTY, goal_m=(5.0, 2.0, 1.0), boxes=((3.0, 1.9, 0.4),))
+    path = np.array([[1.0, 2.0], [2.6, 2.7], [3.4, 2.7], [5.0, 2.0]])
+    found = solve(crossing, path, intervals=40).fastest
+    beside = np.hypot(*(found.line(2000) - [3.0, 1.9]).T) - 0.4
+    assert beside.min() == pytest.approx(0.3, abs=0.004)
+    assert beside.min() >= 0.3
+
+
+def test_start_too_near_to_a_pillar_is_refused():
+    with pytest.raises(PlanningError, match=r"The start \(1, 2\) m is 0.1 m from an obstacle"):
+        straight(replace(EMPTY, boxes=((1.5, 2.0, 0.4),)))
+
+
 def test_start_too_near_to_an_obstacle_is_refused():
     crossing = replace(EMPTY, boxes=((1.2, 1.0, 0.5, 2.0),))
     with pytest.raises(PlanningError, match=r"The start \(1, 2\) m is 0.2 m from an obstacle"):
