@@ -35,8 +35,19 @@ LEAST: dict[str, int] = {
 """Smallest value of each whole number."""
 TASK = ("control_points", "initial_state")
 """What a task is made of."""
-RESUMABLE = ("total_frames", "threads", "checkpoint_every_s", "allowed_targets")
+RESUMABLE = (
+    "total_frames",
+    "threads",
+    "checkpoint_every_s",
+    "allowed_targets",
+    "recorder.max_gb",
+    "recorder.when_full",
+)
 """Settings that a resumed run takes from its command line; all others are the run's own."""
+
+
+NO_MATTER = (*RESUMABLE, "resume", "recorder", "logger")
+"""Settings that change nothing about what is learned."""
 
 
 def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
@@ -87,7 +98,7 @@ def fingerprint(config: DictConfig) -> str:
     It is stored with weights, so that those of one run are not taken for another's.
     """
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    made = {name: value for name, value in plain.items() if name not in (*RESUMABLE, "resume")}
+    made = {name: value for name, value in plain.items() if name not in NO_MATTER}
     return hashlib.sha256(json.dumps(made, sort_keys=True, default=str).encode()).hexdigest()
 
 

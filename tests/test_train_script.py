@@ -124,6 +124,12 @@ def test_damaged_configuration_is_one_sentence(compose, own, line, sentence):
         go_on(compose, own)
 
 
+def test_full_recording_may_be_given_more_room(compose, finished):
+    config = go_on(compose, finished, "recorder.max_gb=7")
+    assert config["recorder"]["max_gb"] == 7
+    assert config["recorder"]["compression"] == "zstd"
+
+
 @pytest.mark.parametrize("name", ["checkpoint.pt", "config.yaml", "summary.json"])
 def test_file_of_another_run_is_refused(compose, own, tmp_path, name):
     other = tmp_path / "other"

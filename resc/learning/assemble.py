@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from resc.build import build, build_env, build_pool, build_terms, load_config
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
@@ -119,7 +119,7 @@ def resumed(config: DictConfig, overrides: Sequence[str], folder: Path) -> DictC
         )
     with open_dict(stored):
         for name in {*changed, "resume", "allowed_targets"}:
-            stored[name] = config[name]
+            OmegaConf.update(stored, name, OmegaConf.select(config, name))
     return stored
 
 

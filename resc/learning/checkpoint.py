@@ -119,7 +119,6 @@ def load_policy(
     config = load_config(folder / CONFIG)
     if "model" not in config:
         raise CheckpointError(f"{folder / CONFIG} lacks model; restore it from its run.")
-    _require_same_run(content, fingerprint(config), folder / POLICY)
     with _fitting(folder / POLICY):
         layout = tuple((str(name), int(width)) for name, width in content["layout"])
         networks = build(
@@ -131,6 +130,7 @@ def load_policy(
         )
         networks.head.load_state_dict(content["head"])
         networks.normalization.load_state_dict(content.get("normalization", {}))
+    _require_same_run(content, fingerprint(config), folder / POLICY)
     return Policy(networks.policy.to(device).eval(), layout, config)
 
 

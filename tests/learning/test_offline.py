@@ -85,8 +85,8 @@ def test_a_buffer_samples_whole_transitions(flown, tmp_path, on_disk):
 
 def test_the_example_in_the_documentation_runs(flown, tmp_path, monkeypatch):
     log, _ = flown
-    (tmp_path / "runs" / "latest").mkdir(parents=True)
-    (tmp_path / "runs" / "latest" / "rollouts").symlink_to(log.files[0].parent)
+    (tmp_path / "runs" / "latest_train").mkdir(parents=True)
+    (tmp_path / "runs" / "latest_train" / "rollouts").symlink_to(log.files[0].parent)
     monkeypatch.chdir(tmp_path)
     page = (Path(__file__).parents[2] / "docs" / "recording.md").read_text()
     section = page.partition("## Learning from recordings")[2]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+import torch
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from small_run import record
@@ -296,7 +297,8 @@ def test_the_picture_shows_where_a_flight_counts_as_a_collision(street, tmp_path
 
     assert inflation_m(street) == 0.3
     axes = Figure().add_subplot()
-    _draw_obstacles(axes, [[3.0, 0.5, 0.4, 1.0], [0.0, 0.0, 0.0, 0.0]], 0.3)
+    boxes = torch.tensor([[3.0, 0.5, 0.4, 1.0], [0.0, 0.0, 0.0, 0.0]])
+    _draw_obstacles(axes, {"boxes_w": boxes}, 0.3)
     (inflated,) = [p for p in axes.patches if p.get_boxstyle().pad == 0.3]
     shape = inflated.get_path().get_extents()
     assert (shape.x0, shape.y0, shape.x1, shape.y1) == pytest.approx((2.7, 0.2, 3.7, 1.8))
