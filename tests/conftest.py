@@ -62,8 +62,12 @@ def make_stages(compose: Callable[..., DictConfig]) -> Callable[..., Stages]:
 def make_env(compose: Callable[..., DictConfig]) -> Callable[..., QuadrotorEnv]:
     """`make_env(*overrides, seed=0, scenes=8, **options)`: an environment not yet reset."""
 
+    known: set[tuple[str, ...]] = set()  # terms are tried once, which takes as long as the rest
+
     def make(*overrides: str, seed: int = 0, scenes: int = 8, **options: Any) -> QuadrotorEnv:
         config = compose(*overrides)
+        options.setdefault("tried", overrides not in known)
+        known.add(overrides)
         return build_env(config, build_pool(config, size=scenes, seed=seed), seed=seed, **options)
 
     return make

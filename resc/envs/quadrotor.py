@@ -39,6 +39,7 @@ class QuadrotorEnv(EnvBase):
         in_order: Resets walk through the pool, row i starting at entry i, instead of drawing
             entries: for evaluation.
         closed: Entries of the pool, next in turn for renewal, that no episode starts in.
+        tried: Whether every term is tried first (`resc.envs.trial`); false for terms that were.
 
     Episodes begin at full difficulty unless `set_difficulty` says otherwise.
     """
@@ -54,6 +55,7 @@ class QuadrotorEnv(EnvBase):
         compiled: bool = True,
         in_order: bool = False,
         closed: int = 0,
+        tried: bool = True,
     ) -> None:
         if num_envs < 1:
             raise ConfigError(f"num_envs is {num_envs}; expected at least 1.")
@@ -76,7 +78,8 @@ class QuadrotorEnv(EnvBase):
             self._restart_function = torch.compile(
                 self._restart_rows, fullgraph=True, dynamic=False
             )
-        check_terms(self.stages, pool)
+        if tried:
+            check_terms(self.stages, pool)
         self._make_specs()
         self.set_seed(seed)
         self.difficulties = {

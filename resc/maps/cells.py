@@ -38,7 +38,8 @@ def require_room(
     require_memory(
         4.0 * count * rows * columns,
         f"{count} maps of {rows} x {columns} cells of {resolution_m:g} m (env.resolution_m)",
-        "lay out fewer scenes (pool_size, flights, evaluation_episodes), smaller maps (scene.size_m), or larger cells",
+        "lay out fewer scenes (pool_size, flights, evaluation_episodes), smaller maps "
+        "(scene.size_m), or larger cells",
         device,
     )
 

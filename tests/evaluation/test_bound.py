@@ -34,6 +34,7 @@ def tasks(evaluation, planner):
     return lambda **scenes: list(find_tasks(scenes, config, planner, limits_of(config)))
 
 
+@pytest.mark.slow
 def test_map_that_all_flights_share_is_solved_once_from_its_start_without_jitter(tasks):
     ((name, crossing, path),) = tasks(corridor=CORRIDOR)
     assert (name, crossing.start_m, crossing.goal_m) == ("corridor", (1, 1, 1), (4.5, 1, 1))

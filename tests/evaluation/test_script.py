@@ -35,6 +35,7 @@ def evaluate(folder, *overrides, where=ROOT):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_unknown_scene_is_answered_with_the_nearest(tmp_path):
     code, _, said = evaluate(tmp_path, "scenes=[paper1_map1]")
     assert code == 1
