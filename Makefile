@@ -26,7 +26,7 @@ reproduce: $(STAMP) ## Train the default policy anew and compare it with the sto
 	$(PY) -m resc.evaluation.reproduction runs/latest_train
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
-	$(PY) -m pytest -n auto --maxprocesses 4 $(ARGS)
+	$(PY) -m pytest -n auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 readers: $(STAMP) ## Install Rerun and the MCAP reader of web viewers (needs npm), read recordings with them.
 	npm install --silent --no-audit --no-fund --prefix .cache/node $(NODE_PACKAGES)

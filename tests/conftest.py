@@ -103,7 +103,8 @@ def start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., list
         try:
             launch(main(ran.append), "train")
         finally:
-            outside.hydra, HydraConfig.instance().cfg = initialized, known
+            # The instance of now: a sentence about an override composes with one of its own.
+            GlobalHydra.instance().hydra, HydraConfig.instance().cfg = initialized, known
         return ran
 
     return run

@@ -45,9 +45,9 @@ def mutate(one_in, timeout_s):
     return int(counts.split()[0])
 
 
-@pytest.mark.timeout(400)  # some 20 s of a quiet processor
-def test_a_hundred_wrong_settings_and_files_end_in_a_sentence_or_fly():
-    assert mutate(80, 380) > 75
+@pytest.mark.timeout(400)  # some 15 s of a quiet processor
+def test_dozens_of_wrong_settings_and_files_end_in_a_sentence_or_fly():
+    assert mutate(120, 380) > 50
 
 
 @pytest.mark.slow
@@ -121,7 +121,7 @@ def trash(tmp_path):
     return tmp_path
 
 
-FAST = {"num_envs=0", "policy=damaged"}
+FAST = {"num_envs=0"}
 CASES = [
     *(("train.py", (*SMALL, "hydra.run.dir=run", text), word) for text, word in TRAINING.items()),
     ("train.py", (*SMALL, "hydra.run.dir=/proc/nope"), "/proc/nope"),

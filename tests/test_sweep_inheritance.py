@@ -68,6 +68,7 @@ def test_run_of_a_sweep_composes_what_the_command_says(start, own, tmp_path, arg
     assert begun == json.loads(json.dumps(OmegaConf.to_container(child)))
 
 
+@pytest.mark.slow
 def test_run_of_a_sweep_gets_flags_variables_and_directory_of_its_command(
     start, own, tmp_path, monkeypatch
 ):
@@ -84,6 +85,7 @@ def test_run_of_a_sweep_gets_flags_variables_and_directory_of_its_command(
     assert "hydra.mode=RUN" in run["argv"]
 
 
+@pytest.mark.slow
 def test_sweep_goes_on_in_the_directory_where_it_began(start, own, tmp_path, monkeypatch):
     command = ("-m", "-cd", "my conf", "-cn", "mine", "seed=0,1", "hydra.sweep.dir=swept")
     start(*command)

@@ -149,6 +149,7 @@ def test_policy_of_another_run_is_refused(compose, own, tmp_path):
         load_policy(own)
 
 
+@pytest.mark.slow
 def test_stored_configuration_is_resolved(compose, tmp_path, monkeypatch):
     monkeypatch.setenv("WEIGHT", "3")
     config = compose(*RUN)
@@ -180,6 +181,7 @@ def test_term_that_fails_later_is_named_and_leaves_the_policy(compose, tmp_path,
     assert load_policy(tmp_path / "run").layout
 
 
+@pytest.mark.slow
 def test_full_disk_leaves_the_policy_and_no_half_of_a_checkpoint(compose, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
@@ -217,6 +219,7 @@ def test_lengthened_run_puts_the_held_out_flights_of_the_earlier_policy_aside(co
     )
 
 
+@pytest.mark.slow
 def test_summary_counts_all_processes_and_this_one(compose, own):
     before = summary_of(own)
     script.run(go_on(compose, own, "total_frames=512"), own, [])

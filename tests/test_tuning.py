@@ -65,6 +65,7 @@ def test_study_that_could_not_be_run_is_refused_before_any_trial(start, refusal,
     assert told in refusal(*TUNE, *arguments)
 
 
+@pytest.mark.slow
 def test_objective_that_no_summary_has_is_told_after_the_first_trial(
     start, refusal, tmp_path, capsys
 ):

@@ -78,6 +78,7 @@ def test_a_difficulty_that_nothing_reads_is_refused(env):
         env.set_difficulty("wind", 0.5)
 
 
+@pytest.mark.slow
 def test_gymnasium_users_may_send_double_precision_and_whole_numbers(make_env):
     alone = QuadrotorGymEnv(make_env("num_envs=1", "scene.boxes=0"))
     with pytest.raises(CallError, match="has not been reset"):

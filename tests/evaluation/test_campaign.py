@@ -142,6 +142,7 @@ def test_scene_is_that_of_the_flight_it_names(run):
         assert facts["resc.episode"]["env_id"] == str(number)
 
 
+@pytest.mark.slow
 def test_flights_recorded_in_part_leave_a_sentence_in_place_of_scenes(evaluation, policy, tmp_path):
     config = evaluation("flights=1", "recorder=mcap", "recorder.every_n_batches=2")
     text = evaluate(config, policy, {"corridor": SCENES["corridor"]}, tmp_path)

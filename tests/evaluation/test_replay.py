@@ -93,6 +93,7 @@ def test_an_episode_recorded_before_there_were_pillars_comes_out_again(recording
     assert max(deviations.values()) == 0.0
 
 
+@pytest.mark.slow
 def test_another_action_is_noticed(recording):
     log = RolloutLog(recording)
     number = int(log.episodes["length"].arg_max())

@@ -80,6 +80,7 @@ def test_a_policy_is_learned_and_flown(teacher, run, tmp_path):
     assert "own/policy holds a policy; give another folder with --out" in code
 
 
+@pytest.mark.slow
 def test_parts_of_ones_own_package_are_flown_only_if_allowed(teacher, run, tmp_path, monkeypatch):
     (tmp_path / "own_cloned.py").write_text(
         "from resc.simulation.vehicle import Vehicle\n\n\nclass Own(Vehicle):\n    pass\n"

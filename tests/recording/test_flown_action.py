@@ -66,6 +66,7 @@ def test_other_programs_find_both_under_their_names(trained):
     assert list(message.action.thrust) == sampled.clamp(-1, 1).tolist()
 
 
+@pytest.mark.slow
 def test_datasets_hold_actions_of_the_action_space(trained):
     log = RolloutLog(trained[0])
     data = transitions(log.where())
@@ -87,6 +88,7 @@ def test_a_replay_flies_the_sample_and_comes_out_bit_for_bit(trained, tmp_path, 
     assert fly_again(f"{old}#{number}").largest == 0
 
 
+@pytest.mark.slow
 def test_pictures_and_scenes_show_what_was_flown(compose, tmp_path):
     log = fly_street(compose("num_envs=2", "recorder=mcap", "task=from_rest"), tmp_path / "street")
     scene = load_scene(log, 0)

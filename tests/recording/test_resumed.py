@@ -238,6 +238,7 @@ def fly(trainer, config, folder, batches):
             record_batch(trainer, recorder)
 
 
+@pytest.mark.slow
 def test_a_training_resumed_from_its_checkpoint_is_read_as_if_never_interrupted(compose, tmp_path):
     config = compose(*RUN)
     first, second = build_trainer(config), build_trainer(config)
