@@ -44,8 +44,6 @@ RESUMABLE = (
     "recorder.when_full",
 )
 """Settings that a resumed run takes from its command line; all others are the run's own."""
-
-
 NO_MATTER = (*RESUMABLE, "resume", "recorder", "logger")
 """Settings that change nothing about what is learned."""
 
@@ -139,8 +137,8 @@ def refuse_beside(overrides: Sequence[str], heeded: Sequence[str], mode: str) ->
     keys = {text: text.lstrip("+~").partition("=")[0].partition(".")[0] for text in overrides}
     if idle := [text for text, key in keys.items() if key not in heeded]:
         raise ConfigError(
-            f"{', '.join(idle)} changes nothing about a {mode}, which heeds only "
-            f"{', '.join(heeded)}; leave it out."
+            f"A {mode} heeds only {', '.join(heeded)}; leave out {', '.join(idle)}, which would "
+            "change nothing."
         )
 
 

@@ -18,7 +18,7 @@ from resc.learning.checkpoint import load_policy
 from resc.recording.reader import RolloutLog
 from resc.run_folder import is_finished, summary_of
 from resc.schema import TrainSchema
-from resc.settings import check_settings
+from resc.settings import check_settings, refuse_beside
 
 BUDGET = 256
 RUN = [
@@ -327,6 +327,13 @@ def test_settings_that_cannot_be_are_refused(compose, override, sentence):
     with pytest.raises(ConfigError) as raised:
         check_settings(compose(override), TrainSchema)
     assert str(raised.value).startswith(sentence)
+
+
+def test_replay_refuses_overrides_that_it_does_not_heed():
+    heeded = ("replay", "threads")
+    refuse_beside(["replay=a#1", "threads=2"], heeded, "replay")
+    with pytest.raises(ConfigError, match=r"leave out flights=5, dynamics=lag_and_drag, which"):
+        refuse_beside(["replay=a#1", "flights=5", "dynamics=lag_and_drag"], heeded, "replay")
 
 
 def test_resume_keeps_hydra_in_the_folder_of_the_run(finished, tmp_path, monkeypatch):
