@@ -69,6 +69,7 @@ class PpoSettings:
     max_grad_norm: Positive
     reward_scale: Positive
     target_kl: Positive | None = None
+    cycles: Count = 1
 
     def __post_init__(self) -> None:
         if min(self.steps, self.minibatch, self.epochs) < 1:
@@ -340,8 +341,10 @@ class Ppo:
             self._starts.append((step, rows, self.env.world_of(rows)))
 
     def _learning_rate(self) -> float:
-        return self.settings.learning_rate + self.share_trained * (
-            self.settings.final_learning_rate - self.settings.learning_rate
+        settings = self.settings
+        share = self.share_trained * settings.cycles % 1.0 if self.share_trained < 1 else 1.0
+        return settings.learning_rate + share * (
+            settings.final_learning_rate - settings.learning_rate
         )
 
     def _allocate(self) -> TensorDict:
