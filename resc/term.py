@@ -292,8 +292,8 @@ class Curriculum(Term):
     in advance at its `levels`, in ascending order; a difficulty between two of them draws episodes
     from both.
 
-    With `optional: true` in its configuration, it rests where nothing reads its difficulty: one that
-    belongs to a reward that a study leaves out.
+    With `optional: true` in its configuration, it rests where nothing reads its difficulty: that of
+    a reward that a study leaves out.
     """
 
     group = "difficulty"
