@@ -12,15 +12,16 @@ from resc.errors import ConfigError
 from resc.math.geometry import box_distance, pillar_distance
 from resc.math.sampling import uniform
 from resc.quantities import Angle, Count, NotNegative, Positive, Share
-from resc.scenes.family import Family, Obstacles, require_families, require_ranges
+from resc.scenes.family import (
+    FENCE,
+    Family,
+    Obstacles,
+    fenced,
+    require_families,
+    require_ranges,
+)
 from resc.scenes.layout import NO_BOX, NO_PILLAR, PARKED_M, Layout, Plan, concatenate, parked
 
-FENCE_M = 0.2
-"""Thickness of the wall around a map."""
-FENCE = ((0, 0, 1, 0), (0, 1, 1, 0), (0, 0, 0, 1), (1, 0, 0, 1))
-"""Where its four sides are, in edges of the part of the map that has obstacles; then how far they
-reach out of it, in thicknesses: `[x, y, len_x, len_y]`."""
-OUTSIDE = ((-1, -1, 2, 1), (-1, 0, 2, 1), (-1, 0, 1, 0), (0, 0, 1, 0))
 CANDIDATES = 12
 """Points drawn on a map, of which the first free ones are its start and goal."""
 NEAR_M = 1.0
@@ -158,17 +159,13 @@ class PlannedScenes:
 
     def _obstacles(self, family: Int[Tensor, " p"], generator: torch.Generator) -> Obstacles:
         """Obstacles of maps of these families, each with its share of fences."""
-        side, parts, order = self.side_m, [], []
-        edges = torch.tensor(FENCE) * side + torch.tensor(OUTSIDE) * FENCE_M
+        parts, order = [], []
         for number, kind in enumerate(self.families.values()):
             rows = (family == number).nonzero()[:, 0]
             if not len(rows):
                 continue
             order.append(rows)
-            boxes, pillars = kind.obstacles(len(rows), side, generator)
-            fenced = uniform((len(rows), 1, 1), 0, 1, generator) < kind.fence
-            fence = torch.where(fenced, edges, edges.new_tensor(NO_BOX))
-            parts.append(Obstacles(torch.cat((fence, boxes), 1), pillars))
+            parts.append(fenced(kind, len(rows), self.side_m, generator))
         back = torch.cat(order).argsort()
         kinds = []
         for none, room, of_kind in zip(
