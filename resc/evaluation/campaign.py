@@ -23,6 +23,7 @@ from resc.evaluation.references import (
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.evaluation.statistics import join, report_scenes, tabulate
+from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
 from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
@@ -60,9 +61,8 @@ def evaluate(
     stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
     planner = planner_for({**config, "env": {**stored["env"], **(config["env"] or {})}})
     allowed = config["allowed_targets"]
-    courses = lay_out(
-        scenes, config["flights"], seed=config["seed"], planner=planner, allowed=allowed
-    )
+    amounts = amounts_of(config, list(scenes))
+    courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
     folder.mkdir(parents=True, exist_ok=True)
     OmegaConf.save(OmegaConf.create(dict(config)), folder / "config.yaml")
     rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}

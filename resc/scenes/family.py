@@ -13,13 +13,6 @@ from resc.math.sampling import uniform
 from resc.quantities import Positive, Share
 from resc.scenes.layout import NO_BOX, NO_PILLAR
 
-FENCE_M = 0.2
-"""Thickness of the wall around a map."""
-FENCE = ((0, 0, 1, 0), (0, 1, 1, 0), (0, 0, 0, 1), (1, 0, 0, 1))
-"""Where its four sides are, in edges of the part of the map that has obstacles; then how far they
-reach out of it, in thicknesses: `[x, y, len_x, len_y]`."""
-OUTSIDE = ((-1, -1, 2, 1), (-1, 0, 2, 1), (-1, 0, 1, 0), (0, 0, 1, 0))
-
 
 class Obstacles(NamedTuple):
     """Boxes `[x, y, len_x, len_y]` and pillars `[x, y, radius]` of many maps [m]."""
@@ -46,15 +39,6 @@ class Family(ABC):
     @abstractmethod
     def obstacles(self, count: int, side_m: float, generator: torch.Generator) -> Obstacles:
         """Obstacles of `count` maps in the square from (0, 0) to (`side_m`, `side_m`)."""
-
-
-def fenced(family: Family, count: int, side_m: float, generator: torch.Generator) -> Obstacles:
-    """Obstacles of `count` maps of a family, a wall around its share of them first."""
-    boxes, pillars = family.obstacles(count, side_m, generator)
-    edges = torch.tensor(FENCE) * side_m + torch.tensor(OUTSIDE) * FENCE_M
-    there = uniform((count, 1, 1), 0, 1, generator) < family.fence
-    fence = torch.where(there, edges, edges.new_tensor(NO_BOX))
-    return Obstacles(torch.cat((fence, boxes), 1), pillars)
 
 
 def where(there: Bool[Tensor, "p k"], obstacles: Float[Tensor, "p k _"]) -> Float[Tensor, "p k _"]:
