@@ -68,15 +68,16 @@ def evaluate(
     rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}
     flown = fly_courses(courses, policy, rules, folder, overrides)
     measured_by = {course.name: references_of(course, limits, references) for course in courses}
-    tables = [tabulate(c, flown[c.name], measured_by[c.name]) for c in courses]
-    reports = report_scenes(tables)
+    arrival = {own: radius_of(rules[own]) for own in rules}
+    tables = [
+        tabulate(c, flown[c.name], measured_by[c.name], arrival[c.own_routes]) for c in courses
+    ]
+    reports = report_scenes(tables, [course.redrawn for course in courses])
     pictured = []
     for course, report in zip(courses, reports, strict=False):
-        settings = rules[course.own_routes]
-        radius = settings["task"]["control_points"].get("radius_m", 0.5)
-        resolution = settings["env"]["resolution_m"]
+        resolution = rules[course.own_routes]["env"]["resolution_m"]
         own = flown[course.name], measured_by[course.name]
-        pictured.append(Flown(course, *own, report, radius, resolution))
+        pictured.append(Flown(course, *own, report, arrival[course.own_routes], resolution))
     for scene in pictured:
         draw_scene(scene, folder / f"flight_{scene.course.name}.png")
     draw_overview(pictured, folder / "flights.png")
@@ -98,6 +99,11 @@ def evaluate(
     }
     finish_run(folder, figures, "evaluation")
     return f"{text}\n{_left_in(folder, told)}"
+
+
+def radius_of(settings: Settings) -> float:
+    """How near to a control point a flight reaches it [m]."""
+    return float(settings["task"]["control_points"].get("radius_m", 0.5))
 
 
 def references_of(course: Course, limits: Limits, references: References) -> list[Reference | None]:
