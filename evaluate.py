@@ -3,6 +3,8 @@
 python evaluate.py                                      the shipped policy on the paper's four maps
 python evaluate.py policy=latest                        the policy trained last
 python evaluate.py policy=runs/2025-11-22/10-00-00_train    that of a run
+python evaluate.py suite=forest                         100 forests of each of three densities
+python evaluate.py 'suite=[paper,field]' maps=20        several suites, fewer maps
 python evaluate.py 'scenes=[random_boxes]' flights=50   another scene of conf/scene
 python evaluate.py 'scenes=[training]' flights=1000     episodes as in training, never trained on
 python evaluate.py 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'    a number of the scene
@@ -19,6 +21,7 @@ from resc import schema
 from resc.console import logged
 from resc.evaluation.campaign import evaluate
 from resc.evaluation.replay import replay
+from resc.evaluation.suites import scenes_to_fly
 from resc.launch import answering, compose_scenes, launch, refuse_doubles
 from resc.learning.checkpoint import load_policy, policy_folder
 from resc.process import prepare_process
@@ -43,7 +46,7 @@ def main(config: DictConfig) -> None:
             refuse_beside(overrides, REPLAYED, "replay")
             print(replay(config["replay"], folder, allowed=allowed))
             return
-        scenes = compose_scenes(config)
+        scenes = compose_scenes(config, scenes_to_fly(config, overrides))
         config["policy"] = str(policy_folder(config["policy"], "policy"))
         policy = load_policy(Path(config["policy"]), config["device"], allowed)
         with logged(folder / "evaluate.log"):

@@ -29,6 +29,7 @@ LEAST: dict[str, int] = {
     "pool_size": 1,
     "renew_scenes": 0,
     "evaluation_episodes": 1,
+    "maps": 1,
     "flights": 1,
     "scene_files": 0,
 }
@@ -62,7 +63,7 @@ def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
     _refuse_unknown(config.get("task") or {}, TASK, "task.")
     _refuse_unknown(config.get("held_out") or {}, groups, "held_out.")
     for name, least in LEAST.items():
-        value = config.get(name, least)
+        value = least if config.get(name) is None else config[name]
         most = LARGEST_SEED if name.endswith("seed") else math.inf
         if not least <= value <= most:
             limit = f"{least} to {most}" if math.isfinite(most) else f"at least {least}"
