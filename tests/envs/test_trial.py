@@ -207,7 +207,12 @@ def test_a_wrong_curriculum_is_named_with_what_was_expected(make_env, case):
         Curriculum, compute, reads=(keys.TRAINED_SHARE,), levels=(0.0, 1.0),
         initial={keys.CURRICULUM_DIFFICULTY: 0.0},
     )  # fmt: skip
-    env = make_env("scene.difficulty=mine", "task.initial_state.difficulty=null", "scene=free")
+    env = make_env(
+        "scene.difficulty=mine",
+        "task.initial_state.difficulty=null",
+        "scene=free",
+        "reward=[progress,time]",
+    )
     with pytest.raises(ConfigError, match=message):
         Curricula([term.named("mine")], env)
 

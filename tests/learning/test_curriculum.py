@@ -36,7 +36,7 @@ KINDS = {"linear": LINEAR, "success": SUCCESS, "free_then_obstacles": SWITCH}
 @pytest.fixture
 def make_trainer(compose):
     return lambda *overrides: build_trainer(
-        compose(*SMALL, "obstacle_observation=none", *overrides)
+        compose(*SMALL, "obstacle_observation=none", "reward=paper2025", *overrides)
     )
 
 

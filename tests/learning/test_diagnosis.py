@@ -50,7 +50,8 @@ class AfterFive(Termination):
 def trainer(compose):
     """`trainer(rewards=[...])`: PPO on two environments with further terms in some groups."""
     config = compose(
-        "scene.boxes=0",
+        "scene=free",
+        "reward=paper2025",
         "task=from_rest",
         "algorithm.minibatch=8",
         "task.initial_state.difficulty=null",

@@ -4,6 +4,7 @@ import shutil
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from test_ppo import SMALL, weights
 
 from resc.errors import CheckpointError, ConfigError
@@ -80,7 +81,8 @@ def test_the_latest_run_is_no_beginning_for_a_sweep(tmp_path):
 def test_runs_from_before_the_setting_keep_their_fingerprint(compose):
     config = compose(*SMALL)
     older = config.copy()
-    del older["init_from"]
+    OmegaConf.set_struct(older, False)
+    older.pop("init_from")
     assert fingerprint(config) == fingerprint(older)
     config["init_from"] = "policies/obstacles"
     assert fingerprint(config) != fingerprint(older)
