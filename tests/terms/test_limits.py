@@ -8,11 +8,10 @@ from resc import keys
 from resc.build import build_env, build_pool, build_stages
 from resc.errors import ConfigError
 from resc.planning.route import planner_for
-from resc.term import Context
 from resc.terms.observations.limits import Limits
 from resc.terms.randomizations.limits import Margin, SpeedLimit
 from resc.terms.rewards.collision import Collision as CollisionReward
-from resc.terms.rewards.progress import Progress
+from resc.terms.rewards.time import Time
 from resc.terms.sensors.limit_violations import LimitViolations
 from resc.terms.terminations.collision import Collision
 
@@ -83,14 +82,11 @@ def test_each_episode_ends_at_its_own_margin():
     assert charged[:, 0].tolist() == [0, -1]
 
 
-def test_a_step_at_the_limit_pays_the_same_whatever_the_limit(make_stages):
-    term = Progress(weight=2.0, speed_mps=None)
-    term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
-    limits = column(1.5, 4.0)
-    previous = torch.zeros(2, 3)
-    position = torch.cat((limits * 0.02, torch.zeros(2, 2)), -1)
-    target = torch.tensor([[5.0, 0.0, 0.0]]).expand(2, 3)
-    assert_close(term.compute(position, previous, target, limits), torch.ones(2, 1))
+def test_a_metre_at_the_limit_costs_the_same_time_whatever_the_limit():
+    limits, position = column(1.5, 4.0), torch.zeros(2, 3)
+    cost = Time(weight=3.0, nominal_mps=3.0).compute(position, limits)
+    assert_close(cost / limits, torch.full((2, 1), -1 / 3))
+    assert_close(Time(weight=3.0).compute(position), torch.full((2, 1), -1.0))
 
 
 def test_episodes_of_the_experiment_span_the_ranges_and_keep_to_their_routes(dial_env):

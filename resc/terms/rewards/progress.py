@@ -18,10 +18,6 @@ class Progress(Reward):
     the column of the control point aimed at, else the control point itself (2025 paper, eq. 7; its
     time penalty is the term `time`). With `column_radius_m: null` p_in is always the control point
     (2024 paper).
-
-    With `speed_mps: null`, v_max is the episode's own speed limit. A step at the limit then pays
-    the same whatever the limit is: with one v_max for all, a slow flight would be paid so little
-    for each step that, at the same cost of time, an early crash might be cheaper than arriving.
     """
 
     reads = (keys.POSITION_W, keys.previous(keys.POSITION_W), keys.TARGET_W)
@@ -30,14 +26,12 @@ class Progress(Reward):
         self,
         *,
         weight: Number,
-        speed_mps: Positive | None = 3.0,
+        speed_mps: Positive = 3.0,
         column_radius_m: Positive | None = 0.5,
         column_half_height_m: Positive = 0.2,
     ) -> None:
         super().__init__(weight=weight)
-        if speed_mps is None:
-            self.reads = (*self.reads, keys.SPEED_LIMIT)
-        elif speed_mps <= 0:
+        if speed_mps <= 0:
             raise ConfigError(f"speed_mps is {speed_mps}; expected a number above zero.")
         self.speed_mps = speed_mps
         self.column_radius_m = column_radius_m
@@ -45,21 +39,19 @@ class Progress(Reward):
 
     def bind(self, context: Context) -> None:
         """Takes the control period."""
-        self.dt_s = context.dt_s
+        self.longest_m = self.speed_mps * context.dt_s
 
     def compute(
         self,
         position: Float[Tensor, "n 3"],
         previous: Float[Tensor, "n 3"],
         target: Float[Tensor, "n 3"],
-        *own: Float[Tensor, "n 1"],
     ) -> Float[Tensor, "n 1"]:
         radius = self.column_radius_m
         aim = (
             target if radius is None else self._entry(previous, position - previous, target, radius)
         )
-        (speed,) = own if self.speed_mps is None else (self.speed_mps,)
-        return (distance(aim, previous) - distance(aim, position)) / (speed * self.dt_s)
+        return (distance(aim, previous) - distance(aim, position)) / self.longest_m
 
     def _entry(
         self,
