@@ -3,6 +3,8 @@
 python evaluate.py                                      the shipped policy on the paper's four maps
 python evaluate.py policy=latest                        the policy trained last
 python evaluate.py policy=runs/2025-11-22/10-00-00_train    that of a run
+python evaluate.py suite=forest                         100 forests of each of three densities
+python evaluate.py 'suite=[paper,field]' maps=20        several suites, fewer maps
 python evaluate.py 'scenes=[random_boxes]' flights=50   another scene of conf/scene
 python evaluate.py 'scenes=[training]' flights=1000     episodes as in training, never trained on
 python evaluate.py 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'    a number of the scene
@@ -19,10 +21,11 @@ from resc import schema
 from resc.console import logged
 from resc.evaluation.campaign import evaluate
 from resc.evaluation.replay import replay
+from resc.evaluation.suites import scenes_to_fly
 from resc.launch import answering, compose_scenes, launch, refuse_doubles
-from resc.learning.checkpoint import load_policy
+from resc.learning.checkpoint import load_policy, policy_folder
 from resc.process import prepare_process
-from resc.run_folder import LATEST, claimed, latest
+from resc.run_folder import claimed
 from resc.settings import check_settings, refuse_beside
 
 REPLAYED = ("replay", "allowed_targets", "threads", "name")
@@ -43,22 +46,11 @@ def main(config: DictConfig) -> None:
             refuse_beside(overrides, REPLAYED, "replay")
             print(replay(config["replay"], folder, allowed=allowed))
             return
-        scenes = compose_scenes(config)
-        config["policy"] = str(policy_folder(config["policy"]))
+        scenes = compose_scenes(config, scenes_to_fly(config, overrides))
+        config["policy"] = str(policy_folder(config["policy"], "policy"))
         policy = load_policy(Path(config["policy"]), config["device"], allowed)
         with logged(folder / "evaluate.log"):
             print(evaluate(config, policy, scenes, folder, overrides))
-
-
-def policy_folder(text: str) -> Path:
-    """The folder that `policy` names: `latest` is the last run that was trained.
-
-    One that the working directory lacks may be RESC's own: policies/obstacles.
-    """
-    if text == LATEST:
-        return latest("policy", "train")
-    ours = Path(__file__).parent / text
-    return ours if ours.exists() and not Path(text).exists() else Path(text)
 
 
 if __name__ == "__main__":

@@ -31,11 +31,10 @@ from resc.command_line import override, shell
 from resc.errors import ConfigError, RescError
 from resc.origin import CHANGEABLE, MULTIRUN, OF_ITS_FOLDER, is_among, key_of, return_to
 from resc.run_folder import CONFIG, LATEST, ORIGIN, claimed, latest, sweep_of
-from resc.settings import listed
 from resc.sweep_folder import arguments_of, go_on, is_sweep, permissions
 
 CONF = Path(__file__).parents[1] / "conf"
-LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric")
+LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric", "suite")
 """Groups of which a configuration takes several files."""
 PATHS = ("resume", "policy", "replay", "references")
 """Settings whose value is a path, typed as it is."""
@@ -292,8 +291,13 @@ def files_of_run() -> ConfigRepository:
     return ConfigRepository(search)
 
 
-def compose_scenes(config: DictConfig) -> dict[str, dict[str, Any]]:
-    """The scenes of the list with the numbers of `scene` in place of their own.
+def given() -> list[str]:
+    """The overrides of the command, as they were typed."""
+    return [str(text) for text in HydraConfig.get().overrides.task]
+
+
+def compose_scenes(config: DictConfig, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The scenes of these names with the numbers of `scene` in place of their own.
 
     Raises:
         ConfigError: A scene is unknown or named twice.
@@ -302,7 +306,7 @@ def compose_scenes(config: DictConfig) -> dict[str, dict[str, Any]]:
     hydra_config = HydraConfig.get()
     search = [text for text in hydra_config.overrides.hydra if "searchpath" in text]
     scenes = {}
-    for name, times in Counter(listed(config["scenes"])).items():
+    for name, times in Counter(names).items():
         if name not in known:
             raise ConfigError(f"Unknown scene '{name}'.{nearest(name, known)}")
         if times > 1:

@@ -64,18 +64,21 @@ class TrainSchema(RunSchema):
         evaluation_seed: Of those scenes; training seeds are never this one.
         held_out: Groups that those episodes are flown with in place of training's; the metrics in
             evaluation.csv are its `metric`.
+        init_from: Folder of a run or a shipped policy whose weights training begins with, at the
+            first frame and with a fresh optimiser; `latest` is the last run.
         resume: Folder of an interrupted run to go on with; `latest` is the last one.
         checkpoint_every_s: Seconds between checkpoints.
     """
 
     name: str = "train"
     num_envs: int = 1024
-    total_frames: int = 12_000_000
+    total_frames: int = 36_000_000
     pool_size: int = 2048
     renew_scenes: int = 64
     evaluation_episodes: int = 1000
     evaluation_seed: int = 1_000_003
     held_out: dict[str, Any] = field(default_factory=dict)
+    init_from: str | None = None
     resume: str | None = None
     checkpoint_every_s: float = 60.0
     curriculum: dict[str, Any] = field(default_factory=dict)
@@ -95,8 +98,12 @@ class EvaluateSchema(RunSchema):
     Args:
         policy: Folder of a shipped policy or of a finished training run; `latest` is the last one
             that was trained.
-        scenes: Files of conf/scene to fly: a list, or the name of one.
-        flights: Flights per scene.
+        suite: Scenes to fly, each with its `maps` and its `flights` on each of them; see
+            `resc.evaluation.suites`.
+        scenes: Files of conf/scene to fly instead: a list, or the name of one.
+        maps: Maps of each scene that draws them, instead of the suite's number; null beside
+            `scenes` is one for every flight.
+        flights: Flights on each map, instead of the suite's number.
         scene_files: First flights of each scene written as 3-D scenes, beside the best and the
             worst; 0 for none. There are none without a recorder.
         references: File with the references that flights are measured by, as
@@ -110,8 +117,10 @@ class EvaluateSchema(RunSchema):
     seed: int = 1_000_003
     compile: bool = False
     policy: str = "policies/obstacles"
-    scenes: Any = field(default_factory=list)
-    flights: int = 20
+    suite: dict[str, Any] = field(default_factory=dict)
+    scenes: Any = None
+    maps: int | None = None
+    flights: int | None = None
     scene_files: int = 1
     references: str | None = None
     replay: str | None = None
@@ -123,16 +132,20 @@ class BoundSchema(RunSchema):
     """What `python -m resc.evaluation.bound` needs.
 
     Args:
-        scenes: Files of conf/scene to find references for: a list, or the name of one.
-        flights: Flights of an evaluation whose maps are solved, where maps differ.
+        suite: Scenes to find references for, as in an evaluation.
+        scenes: Files of conf/scene instead: a list, or the name of one.
+        maps: Maps of each scene that draws them, the first of those of an evaluation.
+        flights: As in an evaluation; matters only where there is a map for every flight.
         references: File that keeps them; null is docs/results/references.json.
         seed: Of random scenes, as in an evaluation.
     """
 
     name: str = "bound"
     seed: int = 1_000_003
-    scenes: Any = field(default_factory=list)
-    flights: int = 20
+    suite: dict[str, Any] = field(default_factory=dict)
+    scenes: Any = None
+    maps: int | None = None
+    flights: int | None = None
     references: str | None = None
     limits: dict[str, Any] = field(default_factory=dict)
 

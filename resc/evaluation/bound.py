@@ -2,7 +2,7 @@
 
 python -m resc.evaluation.bound                                  the paper's four maps
 python -m resc.evaluation.bound 'scenes=[mine]'                  any scene that knows its goal
-python -m resc.evaluation.bound 'scenes=[random_boxes]' flights=50   the maps of 50 flights
+python -m resc.evaluation.bound suite=forest maps=30             the first 30 maps of each density
 python -m resc.evaluation.bound limits.speed_mps=2.0             other limits
 python -m resc.evaluation.bound 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'
 
@@ -24,8 +24,9 @@ from resc.errors import ConfigError, PlanningError
 from resc.evaluation.courses import drawn
 from resc.evaluation.reference_picture import draw_references
 from resc.evaluation.references import Reference, crossings, digest, keep, limits_of
+from resc.evaluation.suites import Amount, amounts_of, scenes_to_fly
 from resc.evaluation.table import aligned
-from resc.launch import compose_scenes, launch_here
+from resc.launch import compose_scenes, given, launch_here
 from resc.planning.route import RoutePlanner, planner_for
 from resc.planning.time_optimal import Crossing, Limits, solve, solver
 from resc.planning.visibility_search import PlannedPath
@@ -53,7 +54,8 @@ def main(config: DictConfig, folder: Path) -> None:
     planner = planner_for(config)
     if planner is None:
         raise ConfigError("search is none, but the path leads the solver; set search=visibility.")
-    tasks = list(find_tasks(compose_scenes(config), config, planner, limits))
+    scenes = compose_scenes(config, scenes_to_fly(config, given()))
+    tasks = list(find_tasks(scenes, config, planner, limits))
     with logged(folder / "bound.log"):
         OmegaConf.save(config, folder / "config.yaml")
         print(bound(tasks, Path(config["references"]) if config["references"] else None, folder))
@@ -73,20 +75,27 @@ def find_tasks(
     """
     if not scenes:
         raise ConfigError("scenes is empty; name at least one file of conf/scene.")
-    for name, node in scenes.items():
-        drawing = {key: config[key] for key in ("flights", "seed")}
-        layout, nominal = drawn(
-            name, node, **drawing, planner=planner, allowed=config["allowed_targets"]
+    for (name, node), amount in zip(
+        scenes.items(), amounts_of(config, list(scenes)).values(), strict=True
+    ):
+        maps = drawn(
+            name,
+            node,
+            Amount(1, amount.drawn) if amount.maps else amount,
+            seed=config["seed"],
+            planner=planner,
+            allowed=config["allowed_targets"],
         )
-        if (layout.route_length > 0).any():
+        if (maps.layout.route_length > 0).any():
             raise ConfigError(
                 f"scene {name} lays out its own routes; a bound is of a scene that knows its goal "
                 "alone, such as paper1_map11."
             )
-        planned = planner(replace(layout, start_w=nominal), name)
+        planned = planner(replace(maps.layout, start_w=maps.nominal_w), name)
         different: dict[str, Task] = {}
-        for number, crossing in enumerate(crossings(planned, nominal, limits)):
-            called = f"{name}, flight {number}" if different else name
+        for number, crossing in enumerate(crossings(planned, maps.nominal_w, limits)):
+            called = name if maps.redrawn is None else f"{name}, map {maps.number[number]}"
+            called = f"{called}, flight {number}" if maps.redrawn is None and different else called
             different.setdefault(digest(crossing), (called, crossing, planner.paths[number]))
         yield from different.values()
 

@@ -24,6 +24,7 @@ from resc.evaluation.references import (
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.evaluation.statistics import asked, join, report_scenes, tabulate
+from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
 from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
@@ -63,24 +64,24 @@ def evaluate(
     config = commanded(config, stored, limits, overrides)
     planner = planner_for({**config, "env": {**stored["env"], **(config["env"] or {})}})
     allowed = config["allowed_targets"]
-    courses = lay_out(
-        scenes, config["flights"], seed=config["seed"], planner=planner, allowed=allowed
-    )
+    amounts = amounts_of(config, list(scenes))
+    courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
     folder.mkdir(parents=True, exist_ok=True)
     OmegaConf.save(OmegaConf.create(dict(config)), folder / "config.yaml")
     rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}
     flown = fly_courses(courses, policy, rules, folder, overrides)
     measured_by = {course.name: references_of(course, limits, references) for course in courses}
-    tables = [tabulate(c, flown[c.name], measured_by[c.name]) for c in courses]
+    arrival = {own: radius_of(rules[own]) for own in rules}
+    tables = [
+        tabulate(c, flown[c.name], measured_by[c.name], arrival[c.own_routes]) for c in courses
+    ]
     tables = [{**table, **asked(limits, len(table["scene"]))} for table in tables]
-    reports = report_scenes(tables)
+    reports = report_scenes(tables, [course.redrawn for course in courses])
     pictured = []
     for course, report in zip(courses, reports, strict=False):
-        settings = rules[course.own_routes]
-        radius = settings["task"]["control_points"].get("radius_m", 0.5)
-        resolution = settings["env"]["resolution_m"]
+        resolution = rules[course.own_routes]["env"]["resolution_m"]
         own = flown[course.name], measured_by[course.name]
-        pictured.append(Flown(course, *own, report, radius, resolution))
+        pictured.append(Flown(course, *own, report, arrival[course.own_routes], resolution))
     for scene in pictured:
         draw_scene(scene, folder / f"flight_{scene.course.name}.png")
     draw_overview(pictured, folder / "flights.png")
@@ -102,6 +103,11 @@ def evaluate(
     }
     finish_run(folder, figures, "evaluation")
     return f"{text}\n{_left_in(folder, told)}"
+
+
+def radius_of(settings: Settings) -> float:
+    """How near to a control point a flight reaches it [m]."""
+    return float(settings["task"]["control_points"].get("radius_m", 0.5))
 
 
 def references_of(course: Course, limits: Limits, references: References) -> list[Reference | None]:

@@ -1,23 +1,27 @@
 """What is flown: the scenes of the list, laid out and planned, one entry per flight."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from resc.build import build
 from resc.errors import ConfigError
+from resc.evaluation.suites import Amount
 from resc.maps.cells import require_room
-from resc.math.sampling import generator_for
+from resc.math.sampling import generator_for, uniform
 from resc.planning.route import RoutePlanner
-from resc.scenes.layout import Layout, Scene, sampled
+from resc.scenes.layout import Layout, Scene, concatenate, rows, sampled
+from resc.scenes.random_maps import RandomMaps
 
 TYPICAL_CELL_M = 0.1
 """Edge of a map cell where no planner tells it."""
+TRIES = 100
+"""How often a map is drawn before its scene is given up."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,8 @@ class Course:
     `planned_m` is the polyline of each flight, `nominal_w` its start without the jitter.
     `own_routes`: the scene laid the routes out itself,
     so its flights obey the task and the terminations of the training; all others lead from rest to
-    the goal of a planned path.
+    the goal of a planned path. `number` tells which map a flight is on; `redrawn` how many maps had
+    no route and were drawn again, None of a scene that draws none.
     """
 
     name: str
@@ -35,6 +40,8 @@ class Course:
     nominal_w: Float[Tensor, "p 3"]
     planned_m: Sequence[Float[np.ndarray, "_ 2"]]
     own_routes: bool
+    number: Int[np.ndarray, " p"]
+    redrawn: int | None = None
 
     def __len__(self) -> int:
         return len(self.layout)
@@ -48,8 +55,12 @@ class Course:
     @property
     def one_map(self) -> bool:
         """Whether all flights share their obstacles."""
-        obstacles = (self.layout.boxes_w, self.layout.pillars_w)
-        return all(bool((kind == kind[:1]).all()) for kind in obstacles)
+        return self.maps == 1
+
+    @property
+    def maps(self) -> int:
+        """How many maps there are."""
+        return len(np.unique(self.number))
 
 
 class LaidOut:
@@ -66,59 +77,159 @@ class LaidOut:
 
 def lay_out(
     scenes: Mapping[str, Mapping[str, Any]],
-    flights: int,
+    amounts: Mapping[str, Amount] | int,
     *,
     seed: int,
     planner: RoutePlanner | None,
     allowed: Iterable[str] = (),
 ) -> list[Course]:
-    """The courses of a list of scene configurations, `flights` of each.
+    """The courses of a list of scene configurations.
 
     Every scene draws from a generator of its own, so adding one to the list leaves the others as
     they were.
 
+    Args:
+        scenes: Configurations by name.
+        amounts: How often each is flown; a number is so many flights of each.
+        seed: Of maps and starts.
+        planner: Fills in routes.
+        allowed: Prefixes of `_target_` outside resc that may be built.
+
     Raises:
-        ConfigError: No scene, less than one flight, or no planner for a scene that needs one.
+        ConfigError: No scene, less than one flight, no planner for a scene that needs one, or maps
+            that never have a route.
         PlanningError: A flight has no path.
     """
     if not scenes:
         raise ConfigError("scenes is empty; name at least one file of conf/scene.")
-    if flights < 1:
-        raise ConfigError(f"flights is {flights}; expected at least 1.")
+    if isinstance(amounts, int):
+        amounts = dict.fromkeys(scenes, Amount(amounts))
     courses = []
     for name, node in scenes.items():
-        layout, nominal = drawn(name, node, flights, seed=seed, planner=planner, allowed=allowed)
+        drawing = {"seed": seed, "planner": planner, "allowed": allowed}
+        maps = drawn(name, node, amounts[name], **drawing)
+        layout = maps.layout
         own_routes = bool((layout.route_length > 0).all())
         if own_routes:
             planned = _lines(layout)
         elif planner is None:
-            raise ConfigError(
-                f"scene {name} only knows its goal, and search is none; set search=visibility."
-            )
+            raise _needs_search(name)
         else:
             layout = planner(layout, name)
             planned = [path.points_m for path in planner.paths]
-        courses.append(Course(name, layout, nominal, planned, own_routes))
+        course = Course(
+            name, layout, maps.nominal_w, planned, own_routes, maps.number, maps.redrawn
+        )
+        courses.append(course)
     return courses
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The flights of a scene before they are planned.
+
+    `number` is each flight's map; `redrawn` how many maps without a route were thrown away, None
+    of a scene that draws none.
+    """
+
+    layout: Layout
+    nominal_w: Float[Tensor, "p 3"]
+    number: Int[np.ndarray, " p"]
+    redrawn: int | None
 
 
 def drawn(
     name: str,
     node: Mapping[str, Any],
-    flights: int,
+    amount: Amount,
     *,
     seed: int,
     planner: RoutePlanner | None,
     allowed: Iterable[str] = (),
-) -> tuple[Layout, Float[Tensor, "p 3"]]:
-    """The layout of one scene configuration, and the starts as they are without jitter."""
+) -> Drawn:
+    """The flights of one scene configuration.
+
+    Raises:
+        ConfigError: See `lay_out`.
+    """
     scene = build(node, f"scene.{name}", allowed=allowed, kind=Scene)
+    maps = isinstance(scene, RandomMaps)
+    flights = amount.drawn * amount.flights_a_map if maps else amount.flights
+    if flights < 1:
+        raise ConfigError(f"flights is {flights}; expected at least 1.")
+    if amount.maps is not None and not maps:
+        raise ConfigError(
+            f"maps is {amount.maps}, but scene {name} draws no maps to be flown several times; "
+            "leave maps out, or raise flights."
+        )
     cell_m = planner.search.resolution_m if planner else TYPICAL_CELL_M
-    one = scene.sample(1, generator_for(seed, f"evaluation/{name}"))
+    one = _sample(scene, name, generator_for(seed, f"evaluation/{name}"))
     require_room(flights, one.size, cell_m, "cpu")
+    if maps:
+        if planner is None:
+            raise _needs_search(name)
+        return _on_maps(scene, name, amount, seed, planner)
     layout = sampled(scene, flights, generator_for(seed, f"evaluation/{name}"), planner)
     start = getattr(scene, "start_m", None)
-    return layout, layout.start_w if start is None else start.expand(flights, 3)
+    nominal = layout.start_w if start is None else start.expand(flights, 3)
+    number = np.arange(flights) if start is None else np.zeros(flights, np.int64)
+    return Drawn(layout, nominal, number, None)
+
+
+def _on_maps(
+    scene: RandomMaps, name: str, amount: Amount, seed: int, planner: RoutePlanner
+) -> Drawn:
+    """Random maps with a route from their nominal start, each with as many flights.
+
+    Every map and every try of it has a generator of its own: the first maps are the same, however
+    many there are.
+    """
+    layouts, redrawn, offsets = [], 0, []
+    for number in range(amount.drawn):
+        path = f"evaluation/{name}/map/{number}"
+        for attempt in range(TRIES):
+            layout = _sample(scene, name, generator_for(seed, f"{path}/{attempt}"))
+            layout = replace(layout, start_w=scene.start_m[None])
+            if planner.joins(layout):
+                break
+            redrawn += 1
+        else:
+            law = f" ({scene.law})" if scene.law else ""
+            raise ConfigError(
+                f"scene {name}{law} found no free route in {TRIES} tries of map {number}: from "
+                f"{_shown(scene.start_m)} to {_shown(scene.goal_m)} m, "
+                f"{planner.search.clearance_m:g} m from obstacles; give it fewer or smaller "
+                "obstacles, or lower search.clearance_m."
+            )
+        layouts.append(layout)
+        moved = torch.zeros(amount.flights_a_map, 3)
+        jitter = (-scene.jitter_m, scene.jitter_m)
+        shape = (amount.flights_a_map, 2)
+        moved[:, :2] = uniform(shape, *jitter, generator_for(seed, f"{path}/starts"))
+        offsets.append(moved)
+    number = torch.arange(amount.drawn).repeat_interleave(amount.flights_a_map)
+    layout = rows(concatenate(layouts), number)
+    nominal = layout.start_w
+    layout = replace(layout, start_w=nominal + torch.cat(offsets))
+    return Drawn(layout, nominal, number.numpy(), redrawn)
+
+
+def _sample(scene: Scene, name: str, generator: torch.Generator) -> Layout:
+    """One scene of a configuration; what it complains of comes with its name."""
+    try:
+        return scene.sample(1, generator)
+    except ConfigError as error:
+        raise ConfigError(f"scene {name}: {error}") from None
+
+
+def _needs_search(name: str) -> ConfigError:
+    return ConfigError(
+        f"scene {name} only knows its goal, and search is none; set search=visibility."
+    )
+
+
+def _shown(point: Float[Tensor, "3"]) -> str:
+    return f"({', '.join(f'{value:g}' for value in point.tolist())})"
 
 
 def _lines(layout: Layout) -> list[Float[np.ndarray, "_ 2"]]:

@@ -15,6 +15,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
+STROKES = ("-", "--", ":", "-.", "-", "--")
 BAR = 0.98
 """Success that every setting should reach."""
 Number = Callable[[Setting], float]
@@ -43,6 +44,7 @@ def draw_dial(dialled: Dialled, path: Path) -> None:
         _draw_across(margin, dialled, norm)
         _identity(margin, margins)
         margin.set(xlabel="margin asked [m]", ylabel="least clearance, median [m]")
+        margin.set_xticks(sorted(set(margins)))
         for axes in grid.flat:
             _dress(axes)
         entries = success.get_legend_handles_labels()
@@ -66,7 +68,8 @@ def _draw(
     faint = 0.35 if thin else 1.0
     for number, (value, group) in enumerate(dialled.by("margin_m").items()):
         across, up = [x(s) for s in group], [y(s) for s in group]
-        axes.plot(across, up, color=FRAME, linewidth=0.9, zorder=2, alpha=faint)
+        stroke = STROKES[number % len(STROKES)]
+        axes.plot(across, up, stroke, color=FRAME, linewidth=0.9, zorder=2, alpha=faint)
         _points(
             axes, norm, group, across, up, number, None if thin else f"margin {value:g} m", faint
         )
@@ -110,6 +113,7 @@ def _identity(axes: Axes, asked: list[float]) -> None:
     """Where what is flown is what was asked."""
     ends = np.array([min(asked), max(asked)])
     axes.plot(ends, ends, color=TEXT, linewidth=0.9, linestyle=DASHES, zorder=1)
+    axes.annotate("as asked", (ends.mean(), ends.mean()), (6, -10), textcoords="offset points")
 
 
 def _dress(axes: Axes) -> None:

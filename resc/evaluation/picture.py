@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -13,44 +14,70 @@ from matplotlib.lines import Line2D
 from resc.evaluation.colours import BOUND, COLLISION, DASHES, LOST, PLAN, SPEED
 from resc.evaluation.panel import Flown, Panel, draw_panel
 from resc.evaluation.statistics import SceneReport
+from resc.evaluation.worst import slowness, worst_maps
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-PANELS = 9
-"""Flights shown of a scene whose maps differ: the first ones, whatever came of them."""
+PANELS = 12
+"""Maps shown of a scene that has many: the worst ones."""
 SPEED_MPS = 3.0
 """Speed limit of the paper: the least range of the colours, so that slow flights look slow."""
 
 
 def draw_scene(flown: Flown, path: Path) -> None:
-    """One scene: all flights over their map; where maps differ, a panel for each of the first."""
+    """One scene: all flights over their map; where maps differ, a panel for each of the worst."""
     if flown.course.one_map:
         _draw([_scene_panel(flown)], path)
         return
-    numbers = range(min(len(flown.course), PANELS))
+    panels = [_map_panel(flown, own) for own in _worst(flown)[:PANELS]]
     title = f"{flown.course.name}: {_caption(flown.report)}"
-    if len(numbers) < len(flown.course):
-        title += f" · the first {len(numbers)} shown"
-    _draw([_flight_panel(flown, number) for number in numbers], path, title=title)
+    if len(panels) < flown.course.maps:
+        title += f" · the worst {len(panels)} of {flown.course.maps} maps"
+    _draw(panels, path, title=title)
 
 
 def draw_overview(scenes: Sequence[Flown], path: Path) -> None:
-    """All scenes side by side; of a scene whose maps differ, the first flight."""
+    """All scenes side by side; of a scene whose maps differ, the worst."""
     _draw([_scene_panel(flown) for flown in scenes], path)
 
 
+def _worst(flown: Flown) -> list[list[int]]:
+    """The flights of each map, the worst map first."""
+    flights, count = flown.flights, len(flown.flights)
+    clearance = flights.metrics.get("least_clearance")
+    seconds = flights.counted.double().numpy() * flights.dt_s
+    bounds = [None if r is None else r.fastest.duration_s for r in flown.references]
+    ranked = worst_maps(
+        flown.course.number,
+        failed=~flights.success.numpy(),
+        clearance_m=np.full(count, np.inf) if clearance is None else clearance.double().numpy(),
+        slowness=slowness(seconds, bounds, flown.course.planned_lengths_m),
+    )
+    return [own.tolist() for own in ranked]
+
+
 def _scene_panel(flown: Flown) -> Panel:
-    """All flights of a scene, or the first if maps differ."""
-    shown = range(len(flown.course)) if flown.course.one_map else [0]
-    return Panel(flown, shown, flown.course.name, _caption(flown.report))
+    """All flights of a scene, or those on the worst map if maps differ."""
+    name, shown = flown.course.name, [*range(len(flown.course))]
+    if not flown.course.one_map:
+        shown = _worst(flown)[0]
+        name = f"{name} · map {flown.course.number[shown[0]]}"
+    return Panel(flown, shown, name, _caption(flown.report))
 
 
-def _flight_panel(flown: Flown, number: int) -> Panel:
-    flights = flown.flights
-    seconds = int(flights.counted[number]) * flights.dt_s
-    fate = f"{seconds:.2f} s" if flights.success[number] else flights.names[number]
-    return Panel(flown, [number], f"flight {number}", fate)
+def _map_panel(flown: Flown, shown: list[int]) -> Panel:
+    """The flights of one map: how many fail, or else how near and how fast they are."""
+    flights, number = flown.flights, int(flown.course.number[shown[0]])
+    lost = [flight for flight in shown if not flights.success[flight]]
+    seconds = max(int(flights.counted[flight]) for flight in shown) * flights.dt_s
+    clearance = flights.metrics.get("least_clearance")
+    near = "" if clearance is None else f"{float(clearance[shown].min()):.2f} m · "
+    if lost and len(shown) > 1:
+        fate = f"{len(lost)} of {len(shown)} fail"
+    else:
+        fate = flights.names[lost[0]] if lost else f"{near}{seconds:.1f} s"
+    return Panel(flown, shown, f"map {number}", fate)
 
 
 def _caption(report: SceneReport) -> str:
@@ -63,11 +90,12 @@ def _caption(report: SceneReport) -> str:
 
 
 def _draw(panels: Sequence[Panel], path: Path, title: str | None = None) -> None:
-    """Panels in a grid that is as wide as high, with one colour bar and one legend."""
-    columns = math.ceil(math.sqrt(len(panels)))
+    """Panels in a grid about as wide as high, with one colour bar and one legend."""
+    aspect = max(_aspect(panel) for panel in panels)
+    columns = math.ceil(math.sqrt(len(panels) * aspect))
     rows = math.ceil(len(panels) / columns)
     width = 9.0 if columns > 1 else 7.2
-    tallest = max(_aspect(panel) for panel in panels) * (width - 1.0) / columns
+    tallest = aspect * (width - 1.0) / columns
     height = rows * (tallest + 0.3) + (0.75 if title else 0.45)
     norm = Normalize(0, max(SPEED_MPS, *(panel.top_speed_mps for panel in panels)))
     small = columns > 2

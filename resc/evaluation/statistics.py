@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from resc.evaluation.courses import Course
 from resc.evaluation.flights import Flights
@@ -26,6 +26,10 @@ Columns = Mapping[str, np.ndarray]
 class SceneReport:
     """Numbers of one scene, or of all together; NaN where no flight has the number.
 
+    `maps` is on how many maps they were, `redrawn` how many more had no route; None where no scene
+    draws maps. Flights of one map are alike, so the interval of success counts them as fewer
+    (`effective_flights`). SPL is the mean of success weighted by path length.
+
     Times, lengths and energy are medians over the flights that arrived; a time that one of them has
     not counts as endless. Ratios are medians over those of them that have a reference.
     Clearance, speed, acceleration and limits are over all flights, up to their finish.
@@ -33,9 +37,12 @@ class SceneReport:
 
     name: str
     episodes: int
+    maps: int
+    redrawn: int | None
     success_rate: float
     success_low: float
     success_high: float
+    spl: float
     collision_rate: float
     close_rate: float
     outcomes: dict[str, int]
@@ -54,25 +61,36 @@ class SceneReport:
 
 
 def tabulate(
-    course: Course, flights: Flights, references: Sequence[Reference | None]
+    course: Course,
+    flights: Flights,
+    references: Sequence[Reference | None],
+    arrival_m: float = 0.0,
 ) -> dict[str, np.ndarray]:
-    """One entry per flight under every column: outcome, steps, metrics, what its reference does."""
+    """One entry per flight under every column: outcome, steps, metrics, what its reference does.
+
+    A flight arrives `arrival_m` before the end of its planned path.
+    """
     fastest, smooth = (
         [None if r is None else getattr(r, kind) for r in references]
         for kind in ("fastest", "smooth")
     )
+    success, planned = flights.success.numpy(), course.planned_lengths_m
+    measured = {name: values.double().numpy() for name, values in flights.metrics.items()}
+    flown = measured.get("path_length", np.full(len(flights), math.nan))
     return {
         "scene": np.full(len(flights), course.name),
         "flight": np.arange(len(flights)),
+        "map": course.number,
         "outcome": np.array(flights.names),
-        "success": flights.success.numpy(),
+        "success": success,
         "collided": flights.collided.numpy(),
         "steps": flights.steps.numpy(),
         "counted_steps": flights.counted.numpy(),
-        "planned_length": course.planned_lengths_m,
+        "planned_length": planned,
+        "spl": success_by_length(success, flown, (planned - arrival_m).clip(min=0)),
         "bound": np.array([math.nan if t is None else t.duration_s for t in fastest]),
         "smooth_energy": np.array([math.nan if t is None else t.energy_m2ps5 for t in smooth]),
-        **{name: values.double().numpy() for name, values in flights.metrics.items()},
+        **measured,
     }
 
 
@@ -84,11 +102,33 @@ def asked(limits: Limits, count: int) -> dict[str, np.ndarray]:
     }
 
 
-def report_scenes(tables: Sequence[Columns]) -> list[SceneReport]:
-    """A report for each scene's flights and, when there are several scenes, one over all."""
-    reports = [summarise(str(table["scene"][0]), table) for table in tables]
+def success_by_length(
+    success: Bool[np.ndarray, " n"],
+    flown_m: Float[np.ndarray, " n"],
+    shortest_m: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Success weighted by path length: shortest / max(flown, shortest) of a flight that arrives.
+
+    Its mean is the SPL of Anderson et al., On Evaluation of Embodied Navigation Agents (2018).
+    """
+    longer = np.maximum(flown_m, shortest_m)
+    ratio = np.divide(shortest_m, longer, out=np.ones_like(longer), where=longer != 0)
+    return np.where(success, ratio, 0 * flown_m)
+
+
+def report_scenes(
+    tables: Sequence[Columns], redrawn: Sequence[int | None] | None = None
+) -> list[SceneReport]:
+    """A report for each scene's flights and, when there are several scenes, one over all.
+
+    `redrawn` is, of each scene that draws maps, how many had no route.
+    """
+    again = redrawn or [None] * len(tables)
+    pairs = zip(tables, again, strict=True)
+    reports = [summarise(str(table["scene"][0]), table, number) for table, number in pairs]
     if len(tables) > 1:
-        reports.append(summarise("all", join(tables)))
+        drawing = [number for number in again if number is not None]
+        reports.append(summarise("all", join(tables), sum(drawing) if drawing else None))
     return reports
 
 
@@ -97,11 +137,13 @@ def join(tables: Sequence[Columns]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-def summarise(name: str, table: Columns) -> SceneReport:
+def summarise(name: str, table: Columns, redrawn: int | None = None) -> SceneReport:
     """The report of the flights in a table; a metric that was not measured is NaN."""
     arrived = table["success"]
     count, successes = len(arrived), int(arrived.sum())
-    low, high = wilson_interval(successes, count)
+    cluster, maps = clusters(table)
+    trials = effective_flights(arrived, cluster)
+    low, high = wilson_interval(successes / count * trials, trials)
     absent = np.full(count, math.nan)
 
     def of(column: str) -> Float[np.ndarray, " n"]:
@@ -115,9 +157,12 @@ def summarise(name: str, table: Columns) -> SceneReport:
     return SceneReport(
         name=name,
         episodes=count,
+        maps=maps,
+        redrawn=redrawn,
         success_rate=successes / count,
         success_low=low,
         success_high=high,
+        spl=float(of("spl").mean()),
         collision_rate=float(table["collided"].mean()),
         close_rate=float((of("least_clearance") < table.get("margin", CLOSE_M)).mean()),
         outcomes=dict(Counter(table["outcome"].tolist()).most_common()),
@@ -136,8 +181,44 @@ def summarise(name: str, table: Columns) -> SceneReport:
     )
 
 
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """95 % interval of a rate (Wilson 1927).
+def clusters(table: Columns) -> tuple[Int[np.ndarray, " n"], int]:
+    """Of each flight, which ones it is alike to, as a number; and how many maps there are.
+
+    Alike are flights of one map of a scene that has several: the maps are its sample. Of a scene
+    with one map, the starts are, and every flight is for itself.
+    """
+    scene, flight = table["scene"], table.get("flight", np.arange(len(table["scene"])))
+    number = table.get("map", np.zeros(len(scene), np.int64))
+    keys, maps = [], set(zip(scene.tolist(), number.tolist(), strict=True))
+    several = {name for name in set(scene.tolist()) if sum(key[0] == name for key in maps) > 1}
+    for name, of_map, own in zip(scene.tolist(), number.tolist(), flight.tolist(), strict=True):
+        keys.append((name, of_map, -1) if name in several else (name, -1, own))
+    which = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    return np.array([which[key] for key in keys]), len(maps)
+
+
+def effective_flights(success: Bool[np.ndarray, " n"], cluster: Int[np.ndarray, " n"]) -> float:
+    """How many independent flights would tell as much about the rate: p (1 - p) / var(p).
+
+    var(p) is that of a ratio over k clusters, k / (k - 1) sum (s_i - p n_i)^2 / n^2, with s_i of
+    n_i flights arriving (Cochran 1977; the effective size of Korn and Graubard 1998). Between the
+    number of clusters and that of flights; where all or none arrive, as few as there are clusters:
+    a bootstrap over the maps would give an interval without width there.
+    """
+    flights, count = len(success), int(cluster.max()) + 1
+    share = float(success.mean())
+    if count in (1, flights):
+        return float(flights)
+    if share in (0.0, 1.0):
+        return float(count)
+    excess = np.bincount(cluster, success - share, minlength=count)
+    variance = count / (count - 1) * float(np.square(excess).sum()) / flights**2
+    least, most = float(count), float(flights)
+    return min(max(share * (1 - share) / variance, least), most) if variance > 0 else most
+
+
+def wilson_interval(successes: float | int, trials: float | int) -> tuple[float, float]:
+    """95 % interval of a rate (Wilson 1927); trials need not be whole.
 
     (p + z^2/2n -+ z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n).
     """

@@ -17,6 +17,7 @@ ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("flights", lambda r: str(r.episodes)),
     ("success [%]", lambda r: _percent(r.success_rate)),
     ("  95 % interval", lambda r: f"{_percent(r.success_low)}-{_percent(r.success_high)}"),
+    ("SPL", lambda r: _number(r.spl, 3)),
     ("collisions [%]", lambda r: _percent(r.collision_rate)),
     ("closer than {margin:g} m [%]", lambda r: _percent(r.close_rate)),
     ("time to 0.5 m [s]", lambda r: _number(r.time_span_s, 2)),
@@ -32,13 +33,20 @@ ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("top acceleration [m/s^2]", lambda r: _number(r.top_acceleration_mps2, 2)),
     ("steps over a limit [%]", lambda r: _percent(r.over_limit_share)),
 )
+OF_MAPS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
+    ("maps", lambda r: str(r.maps)),
+    ("maps without a route", lambda r: "-" if r.redrawn is None else str(r.redrawn)),
+)
+"""Rows that are there only with scenes that draw maps."""
 PER_SCENE = ("time to", "path", "energy to")
 """Beginnings of the rows that mean nothing over several scenes."""
 NOMINAL = Limits(speed_mps=3.0, acceleration_mps2=6.0, jerk_mps3=20.0, margin_m=0.3)
 """As in conf/limits/point_mass.yaml."""
 FOOTNOTES = """\
 Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half
-height is entered. Collision: the centre of mass touches an obstacle. Closer than {margin:g} m: the
+height is entered. SPL: success weighted by path length, the mean of shortest / max(flown, shortest)
+over all flights, 0 for one that does not arrive; the shortest path is the planned one, up to where
+a flight arrives. Collision: the centre of mass touches an obstacle. Closer than {margin:g} m: the
 margin was entered, with or without a collision; the paper inflates obstacles by 0.3 m. Flights
 start at rest, within the jitter of the scene's start; scenes that bring their own routes (training,
 free) are flown under the rules of the training instead. Times, lengths and energy are medians over
@@ -52,6 +60,10 @@ reference: the flight that pays a millisecond for a unit of energy. Both are loc
 `-` without. Clearance (centre of mass to obstacle surface), speed, acceleration and limits are over
 all flights; a step is over a limit above {speed:g} m/s, {acceleration:g} m/s^2 or 37.5 deg of roll
 or pitch.
+"""
+MAPS_NOTE = """\
+Maps without a route from start to goal at the clearance of the search are drawn again, no others.
+Flights of one map are alike, so the interval counts as many independent ones as would tell as much.
 """
 PUBLISHED_NOTE = """\
 Published: time [s] / energy [m^2/s^5], 2025 paper, Table I. Its goals and its tolerance for
@@ -70,7 +82,9 @@ def markdown(reports: Sequence[SceneReport], limits: Limits = NOMINAL) -> str:
         "acceleration": limits.acceleration_mps2,
     }
     rows = [["", *(report.name for report in reports)]]
-    for label, cell in ROWS:
+    drawn = any(report.redrawn is not None for report in reports)
+    shown = (*ROWS[:1], *OF_MAPS, *ROWS[1:]) if drawn else ROWS
+    for label, cell in shown:
         blank = label.startswith(PER_SCENE)
         rows.append(
             [
@@ -84,7 +98,7 @@ def markdown(reports: Sequence[SceneReport], limits: Limits = NOMINAL) -> str:
             [f"{planner}, published", *(_published(r, planner) for r in reports)]
             for planner in PLANNERS
         ]
-    text = f"{aligned(rows)}\n{FOOTNOTES.format(**numbers)}"
+    text = f"{aligned(rows)}\n{FOOTNOTES.format(**numbers)}{MAPS_NOTE if drawn else ''}"
     return f"{text}\n{PUBLISHED_NOTE}" if compared else text
 
 
@@ -103,7 +117,10 @@ def summary(reports: Sequence[SceneReport]) -> dict[str, Any]:
     overall = reports[-1]
     return {
         "episodes": overall.episodes,
+        "maps_redrawn": overall.redrawn,
         "success_rate": overall.success_rate,
+        "success_interval": [overall.success_low, overall.success_high],
+        "spl": overall.spl,
         "collision_rate": overall.collision_rate,
         "scenes": {r.name: _rounded(asdict(r)) for r in reports if r.name != "all"},
     }

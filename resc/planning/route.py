@@ -95,6 +95,29 @@ class RoutePlanner:
         padded = [torch.cat((r, r[-1:].expand(longest - len(r), -1))) for r in routes]
         return replace(layout, route_w=torch.stack(padded), route_length=length)
 
+    def joins(self, layout: Layout, number: int = 0) -> bool:
+        """Whether a route leads from the start to the goal of a scene, both of them free, too.
+
+        Free means that they keep the clearance, so that no route is led out of an obstacle's.
+
+        Raises:
+            PlanningError: The search gives up.
+        """
+        prepared = self._prepare(layout, number)
+        start, goal = layout.start_w[number].tolist(), layout.route_w[number, 0].tolist()
+        origin = tuple(layout.origin_w[number].tolist())
+        for point in (start, goal):
+            column, row = (
+                int((at - low) / self.search.resolution_m + 1e-9)
+                for at, low in zip(point, origin, strict=False)
+            )
+            if prepared.blocked[row, column]:
+                return False
+        path = self.search.plan(prepared, (start[0], start[1]), (goal[0], goal[1]), origin)
+        if path.status == "budget":
+            self._require_found(path, start, goal)
+        return path.status == "found"
+
     def _plan_together(self, layout: Layout) -> Layout:
         """The routes of scenes with a clearance of their own; `paths` is left empty."""
         if self.rule != "visible":

@@ -106,7 +106,7 @@ def rate_command(log: RolloutLog, episode: int, steps: TensorDict) -> Float[np.n
 
 
 def inflation_m(log: RolloutLog, episode: int) -> float:
-    """How close to an obstacle [m] an episode ends as a collision; its own margin, if it has one."""
+    """Distance to obstacles [m] at which an episode collides: its own margin, if it has one."""
     terms = nodes_in(log.config, "termination") if "termination" in log.config else {}
     ending = [name for name, term in terms.items() if term["_target_"] in _COLLISIONS]
     own = [name for name in ending if terms[name].get("radius_m", 0.0) is None]

@@ -116,6 +116,11 @@ def concatenate(layouts: list[Layout]) -> Layout:
     )
 
 
+def rows(layout: Layout, which: Tensor) -> Layout:
+    """Some scenes of a batch, by a mask or by their numbers."""
+    return Layout(**{f.name: getattr(layout, f.name)[which] for f in fields(Layout)})
+
+
 def pad(layout: Layout, boxes: int, pillars: int, points: int) -> Layout:
     """The same scenes with room for as many obstacles and points, the last point repeated."""
     route = layout.route_w

@@ -1,7 +1,7 @@
 """Random maps of named families, with routes that a planner found on them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -12,15 +12,10 @@ from resc.errors import ConfigError
 from resc.math.geometry import box_distance, pillar_distance
 from resc.math.sampling import uniform
 from resc.quantities import Angle, Count, NotNegative, Positive, Share
-from resc.scenes.family import Family, Obstacles, require_families, require_ranges
-from resc.scenes.layout import NO_BOX, NO_PILLAR, PARKED_M, Layout, Plan, concatenate, parked
+from resc.scenes.family import Obstacles, require_ranges
+from resc.scenes.family_mix import FamilyMix
+from resc.scenes.layout import Layout, Plan, concatenate, rows
 
-FENCE_M = 0.2
-"""Thickness of the wall around a map."""
-FENCE = ((0, 0, 1, 0), (0, 1, 1, 0), (0, 0, 0, 1), (1, 0, 0, 1))
-"""Where its four sides are, in edges of the part of the map that has obstacles; then how far they
-reach out of it, in thicknesses: `[x, y, len_x, len_y]`."""
-OUTSIDE = ((-1, -1, 2, 1), (-1, 0, 2, 1), (-1, 0, 1, 0), (0, 0, 1, 0))
 CANDIDATES = 12
 """Points drawn on a map, of which the first free ones are its start and goal."""
 NEAR_M = 1.0
@@ -68,9 +63,6 @@ class PlannedScenes:
         tries: Count = 100,
         difficulty: str | None = None,
     ) -> None:
-        if not families:
-            raise ConfigError("families is empty; name at least one family of maps.")
-        require_families("families", families)
         require_ranges(clearance_m=clearance_m)
         self.side_m = size_m - 2 * margin_m
         if self.side_m <= apart_m:
@@ -78,7 +70,7 @@ class PlannedScenes:
                 f"size_m is {size_m}; within a margin of {margin_m} m a start and a goal "
                 f"{apart_m} m apart need more."
             )
-        self.families: Mapping[str, Family] = families
+        self.mix = FamilyMix(families, self.side_m, margin_m)
         self.size_m = size_m
         self.margin_m = margin_m
         self.clearance_m = clearance_m
@@ -90,11 +82,10 @@ class PlannedScenes:
         self.height_spread_m = height_spread_m
         self.tries = tries
         self.difficulty = difficulty
-        self.room = self._rooms()
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """Maps with a start and a goal, but no promise of a route between them."""
-        return self._draw(self._choose(count, generator), generator)
+        return self._draw(self.mix.choose(count, generator), generator)
 
     def sample_routed(self, count: int, generator: torch.Generator, plan: Plan) -> Layout:
         """Lays out `count` episodes along planned routes.
@@ -102,41 +93,29 @@ class PlannedScenes:
         Raises:
             ConfigError: A family found no free route in `tries` maps of one scene.
         """
-        family = self._choose(count, generator)
+        family = self.mix.choose(count, generator)
         missing, found, layouts = torch.arange(count), [], []
         for _ in range(self.tries):
             drawn = plan(self._draw(family[missing], generator))
             good = (drawn.route_length[:, 0] > 0) & self._apart(drawn)
-            layouts.append(_rows(drawn, good))
+            layouts.append(rows(drawn, good))
             found.append(missing[good])
             missing = missing[~good]
             if not len(missing):
                 order = torch.cat(found).argsort()
-                return self._episodes(_rows(concatenate(layouts), order), generator)
-        name = list(self.families)[int(family[missing[0]])]
+                return self._episodes(rows(concatenate(layouts), order), generator)
+        name = list(self.mix.families)[int(family[missing[0]])]
         raise ConfigError(
             f"scene.families.{name} found no free route in {self.tries} tries: from a start to a "
             f"goal {self.apart_m:g} m away, {self.clearance_m[0]:g} to {self.clearance_m[1]:g} m "
             "from obstacles; give it fewer or smaller obstacles, or lower clearance_m or apart_m."
         )
 
-    def _choose(self, count: int, generator: torch.Generator) -> Int[Tensor, " p"]:
-        """A family for each scene, by their weights."""
-        weights = torch.tensor([family.weight for family in self.families.values()])
-        return torch.multinomial(weights, count, replacement=True, generator=generator)
-
-    def _rooms(self) -> tuple[int, int]:
-        """How many boxes and pillars a map has room for: as many as that of any family."""
-        generator = torch.Generator().manual_seed(0)
-        one = [kind.obstacles(1, self.side_m, generator) for kind in self.families.values()]
-        boxes, pillars = (max(kind.shape[1] for kind in kinds) for kinds in zip(*one, strict=True))
-        return boxes + len(FENCE), pillars
-
     def _draw(self, family: Int[Tensor, " p"], generator: torch.Generator) -> Layout:
         """Maps of these families, each with a start, a goal and a clearance."""
         count = len(family)
         clearance = uniform((count, 1), *self.clearance_m, generator=generator)
-        obstacles = self._obstacles(family, generator)
+        obstacles = self.mix.obstacles(family, generator)
         low, high = self.margin_m, self.size_m - self.margin_m
         points = uniform((count, CANDIDATES, 2), low, high, generator)
         free = _room(points, obstacles) >= clearance
@@ -155,29 +134,6 @@ class PlannedScenes:
             route_length=torch.zeros(count, 1, dtype=torch.int64),
             clearance=clearance,
         )
-
-    def _obstacles(self, family: Int[Tensor, " p"], generator: torch.Generator) -> Obstacles:
-        """Obstacles of maps of these families, each with its share of fences."""
-        side, parts, order = self.side_m, [], []
-        edges = torch.tensor(FENCE) * side + torch.tensor(OUTSIDE) * FENCE_M
-        for number, kind in enumerate(self.families.values()):
-            rows = (family == number).nonzero()[:, 0]
-            if not len(rows):
-                continue
-            order.append(rows)
-            boxes, pillars = kind.obstacles(len(rows), side, generator)
-            fenced = uniform((len(rows), 1, 1), 0, 1, generator) < kind.fence
-            fence = torch.where(fenced, edges, edges.new_tensor(NO_BOX))
-            parts.append(Obstacles(torch.cat((fence, boxes), 1), pillars))
-        back = torch.cat(order).argsort()
-        kinds = []
-        for none, room, of_kind in zip(
-            (NO_BOX, NO_PILLAR), self.room, zip(*parts, strict=True), strict=True
-        ):
-            batch = torch.cat([parked(part, none, room) for part in of_kind])[back]
-            batch[..., :2] += self.margin_m * (batch[..., :1] < PARKED_M)
-            kinds.append(batch)
-        return Obstacles(*kinds)
 
     def _apart(self, layout: Layout) -> Bool[Tensor, " p"]:
         last = layout.route_w[torch.arange(len(layout)), (layout.route_length[:, 0] - 1).clamp(0)]
@@ -206,11 +162,6 @@ class PlannedScenes:
             route_length=end - begin,
             start_motion=motion,
         )
-
-
-def _rows(layout: Layout, which: Tensor) -> Layout:
-    """Some scenes of a batch."""
-    return Layout(**{f.name: getattr(layout, f.name)[which] for f in fields(Layout)})
 
 
 def _room(points: Float[Tensor, "p c 2"], obstacles: Obstacles) -> Float[Tensor, "p c"]:

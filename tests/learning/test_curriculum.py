@@ -54,6 +54,17 @@ def test_a_difficulty_that_nothing_reads_is_refused(make_trainer):
         make_trainer(f"+curriculum.obstacle={{_target_:{FIXED}}}")
 
 
+def test_an_optional_difficulty_rests_where_nothing_reads_it(make_trainer):
+    trainer = make_trainer(f"+curriculum.obstacle={{_target_:{FIXED},optional:true}}")
+    assert "obstacle" not in trainer.curricula.difficulties
+    assert "obstacles" in trainer.curricula.difficulties
+
+
+def test_optional_is_true_or_false(make_trainer):
+    with pytest.raises(ConfigError, match=r"curriculum\.obstacle\.optional is 'perhaps'; expected"):
+        make_trainer(f"+curriculum.obstacle={{_target_:{FIXED},optional:perhaps}}")
+
+
 @pytest.mark.parametrize("path", ["scene", "task.initial_state", "reward.crash"])
 def test_a_difficulty_that_nothing_writes_is_refused_with_its_reader(make_trainer, path):
     with pytest.raises(
