@@ -33,7 +33,12 @@ ASKED = ("limits.speed_mps=2.0", "limits.margin_m=0.4")
 @pytest.fixture(scope="module")
 def with_dial(compose):
     """The configuration of a policy that was trained with the dial."""
-    config = compose("+experiment=dial", "obstacle_observation=none", "reward=[progress,time]")
+    few = (
+        "obstacle_observation=none",
+        "reward=[progress,time]",
+        "termination.time_limit.limit_s=1.0",
+    )
+    config = compose("+experiment=dial", *few)
     return OmegaConf.to_container(config, resolve=True)
 
 
@@ -129,8 +134,9 @@ def test_every_flight_has_the_limits_that_are_asked(evaluation, with_dial):
 def flown(evaluation, dial_policy, tmp_path_factory):
     """A recorded evaluation of the policy at 1.5 m/s and 0.2 m: its folder and its report."""
     folder = tmp_path_factory.mktemp("dial") / "runs" / "2025-11-22" / "10-00-00_evaluate"
-    overrides = ["limits.speed_mps=1.5", "limits.margin_m=0.2", "flights=2", "scene_files=0"]
-    config = evaluation("recorder=mcap", "policy=somewhere", *overrides)
+    overrides = ["limits.speed_mps=1.5", "limits.margin_m=0.2", "flights=1", "scene_files=0"]
+    short = "termination.time_limit.limit_s=2.0"
+    config = evaluation("recorder=mcap", "policy=somewhere", short, *overrides)
     planned = {"planned": evaluation("+scene=planned")["scene"]}
     scenes = {"corridor": CORRIDOR, **planned}
     return folder, evaluate(config, dial_policy, scenes, folder, overrides)
