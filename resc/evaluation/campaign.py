@@ -8,6 +8,7 @@ from typing import Any, cast
 from omegaconf import OmegaConf
 
 from resc.errors import ConfigError, RecordingError
+from resc.evaluation.commanded import commanded, commanded_scenes
 from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.flights import Flights, fly_recorded
 from resc.evaluation.panel import Flown
@@ -22,7 +23,7 @@ from resc.evaluation.references import (
 )
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import build_flying_env, settings_for
-from resc.evaluation.statistics import join, report_scenes, tabulate
+from resc.evaluation.statistics import asked, join, report_scenes, tabulate
 from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
 from resc.learning.checkpoint import Policy
@@ -51,7 +52,7 @@ def evaluate(
     Raises:
         PlanningError: A flight has no path.
         CheckpointError: The policy expects another observation than its configuration describes.
-        ConfigError: A number is out of range.
+        ConfigError: A number is out of range, or limits are asked that the policy does not know.
     """
     began = time.perf_counter()
     if config["scene_files"] < 0:
@@ -59,6 +60,8 @@ def evaluate(
     limits = limits_of(config)
     references = read_references(Path(config["references"]) if config["references"] else None)
     stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
+    scenes = commanded_scenes(scenes, config, stored, limits)
+    config = commanded(config, stored, limits, overrides)
     planner = planner_for({**config, "env": {**stored["env"], **(config["env"] or {})}})
     allowed = config["allowed_targets"]
     amounts = amounts_of(config, list(scenes))
@@ -72,6 +75,7 @@ def evaluate(
     tables = [
         tabulate(c, flown[c.name], measured_by[c.name], arrival[c.own_routes]) for c in courses
     ]
+    tables = [{**table, **asked(limits, len(table["scene"]))} for table in tables]
     reports = report_scenes(tables, [course.redrawn for course in courses])
     pictured = []
     for course, report in zip(courses, reports, strict=False):
@@ -83,7 +87,7 @@ def evaluate(
     draw_overview(pictured, folder / "flights.png")
     write_scenes(reports, folder / "scenes.csv")
     write_flights(join(tables), folder / "flights.csv")
-    text = f"{markdown(reports)}\n{failures(reports)}".rstrip() + "\n"
+    text = f"{markdown(reports, limits)}\n{failures(reports)}".rstrip() + "\n"
     (folder / "report.md").write_text(f"# {config['policy']}\n\n{text}")
     told = _write_scenes(config, courses, folder)
     frames = sum(flights.frames for flights in flown.values())
