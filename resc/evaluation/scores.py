@@ -24,7 +24,7 @@ from resc.errors import ConfigError
 from resc.evaluation.campaign import evaluate, fingerprint
 from resc.evaluation.score_report import Score, read_score, write_scores
 from resc.evaluation.study import Run, Sweep, read_sweep
-from resc.evaluation.suites import scenes_to_fly
+from resc.evaluation.suites import amounts_of, scenes_to_fly
 from resc.launch import answering, launch_here
 from resc.learning.checkpoint import load_policy
 from resc.process import prepare_process
@@ -58,6 +58,7 @@ def evaluations(config: DictConfig) -> Iterator[Flown]:
     """Each suite of a configuration: its name, its settings and its scenes."""
     scenes = compose_scenes(config, scenes_to_fly(config, given()))
     settings = cast(Settings, OmegaConf.to_container(config, resolve=True))
+    amounts = amounts_of(settings, list(scenes))
     if settings["scenes"] is not None:
         yield SINGLE, settings, scenes
         return
@@ -66,7 +67,10 @@ def evaluations(config: DictConfig) -> Iterator[Flown]:
     for suite, own in {**named, **({SINGLE: rest} if rest else {})}.items():
         there = [name for name in own if name in scenes]
         of_suite = {name: settings["suite"][name] for name in there}
-        yield suite, {**settings, "suite": of_suite}, {name: scenes[name] for name in there}
+        draws = any(amounts[name].maps for name in there)
+        maps = settings["maps"] if draws else None  # of a suite of fixed maps it would be refused
+        own_settings = {**settings, "suite": of_suite, "maps": maps}
+        yield suite, own_settings, {name: scenes[name] for name in there}
 
 
 def fly_sweep(sweep: Sweep, chosen: Sequence[Flown], overrides: Sequence[str]) -> Iterator[Score]:
