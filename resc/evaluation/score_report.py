@@ -17,6 +17,7 @@ from scipy.stats import t as student
 from resc.errors import ConfigError
 from resc.evaluation.ablation_figures import COLOURS, DPI, MARKERS
 from resc.evaluation.bootstrap import LEVEL, NOTHING, Estimate
+from resc.evaluation.colours import TEXT
 from resc.evaluation.study import Run, Sweep
 from resc.evaluation.table import aligned
 
@@ -187,6 +188,10 @@ def _draw_suite(
         own = [score.values for score in scores if score.run.variant == name]
         x, y = (np.array([v[key] for v in own]) for key in (across.name, "success_rate"))
         axes.scatter(x, 100 * y, color=colour, marker=marker, s=34, alpha=0.85, linewidths=0)
+    lost = sum(not math.isfinite(score.values[across.name]) for score in scores)
+    if lost:
+        told = f"{lost} of {len(scores)} runs have no {across.title}"
+        axes.text(0.02, 0.02, told, transform=axes.transAxes, fontsize="small", color=TEXT)
     axes.set_title(suite, loc="left", fontweight="bold", fontsize="medium")
     axes.set(xlabel=across.title, ylabel="success [%]")
     low = min(100 * score.values["success_rate"] for score in scores)
