@@ -1,5 +1,7 @@
 """An evaluation from beginning to end: lay out, plan, fly, report."""
 
+import hashlib
+import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +16,7 @@ from resc.evaluation.flights import Flights, fly_recorded
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
 from resc.evaluation.references import (
+    STORED,
     Reference,
     References,
     crossings,
@@ -30,9 +33,11 @@ from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
 from resc.planning.time_optimal import Limits
 from resc.recording.rollouts import provenance
-from resc.run_folder import finish_run
+from resc.run_folder import POLICY, finish_run
 
 ROLLOUTS, SCENES = "rollouts", "scenes"
+NO_MATTER = ("name", "threads", "policy")
+"""Settings by which no number of an evaluation changes; of the policy, its weights do."""
 Settings = Mapping[str, Any]
 
 
@@ -98,11 +103,30 @@ def evaluate(
         "frames_per_s": frames / sum(flying_s),
         **summary(reports),
         "policy": str(_near(Path(config["policy"]).resolve())),
+        "fingerprint": fingerprint(config, scenes),
         "seed": config["seed"],
         **provenance(),
     }
     finish_run(folder, figures, "evaluation")
     return f"{text}\n{_left_in(folder, told)}"
+
+
+def fingerprint(config: Settings, scenes: Mapping[str, Settings]) -> str:
+    """SHA-256 of all that an evaluation flies and is measured by, but for the code.
+
+    Settings, scenes, the policy's weights and the stored references: the same evaluation, whoever
+    asks for it.
+    """
+    plain = OmegaConf.to_container(OmegaConf.create(dict(config)), resolve=True)
+    made = {
+        key: value for key, value in cast(dict[str, Any], plain).items() if key not in NO_MATTER
+    }
+    made["scenes_flown"] = {name: dict(node) for name, node in scenes.items()}
+    text = json.dumps(made, sort_keys=True, default=str).encode()
+    files = [Path(config["policy"]) / POLICY, Path(config["references"] or STORED)]
+    return hashlib.sha256(
+        b"".join([text, *(path.read_bytes() if path.is_file() else b"" for path in files)])
+    ).hexdigest()
 
 
 def radius_of(settings: Settings) -> float:
