@@ -23,9 +23,9 @@ from resc.evaluation.campaign import evaluate
 from resc.evaluation.replay import replay
 from resc.evaluation.suites import scenes_to_fly
 from resc.launch import answering, compose_scenes, launch, refuse_doubles
-from resc.learning.checkpoint import load_policy
+from resc.learning.checkpoint import load_policy, policy_folder
 from resc.process import prepare_process
-from resc.run_folder import LATEST, claimed, latest
+from resc.run_folder import claimed
 from resc.settings import check_settings, refuse_beside
 
 REPLAYED = ("replay", "allowed_targets", "threads", "name")
@@ -47,21 +47,10 @@ def main(config: DictConfig) -> None:
             print(replay(config["replay"], folder, allowed=allowed))
             return
         scenes = compose_scenes(config, scenes_to_fly(config, overrides))
-        config["policy"] = str(policy_folder(config["policy"]))
+        config["policy"] = str(policy_folder(config["policy"], "policy"))
         policy = load_policy(Path(config["policy"]), config["device"], allowed)
         with logged(folder / "evaluate.log"):
             print(evaluate(config, policy, scenes, folder, overrides))
-
-
-def policy_folder(text: str) -> Path:
-    """The folder that `policy` names: `latest` is the last run that was trained.
-
-    One that the working directory lacks may be RESC's own: policies/obstacles.
-    """
-    if text == LATEST:
-        return latest("policy", "train")
-    ours = Path(__file__).parent / text
-    return ours if ours.exists() and not Path(text).exists() else Path(text)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 python train.py                                    the default: flight among obstacles
 python train.py +experiment=quick                  a few minutes of it
 python train.py obstacle_observation=none          swap a part
+python train.py init_from=latest reward.jerk.weight=0.1    the last run's policy, further
 python train.py resume=latest                      go on with the last run, or sweep
 python train.py --cfg job                          look, do not run
 """
@@ -21,6 +22,7 @@ from resc.launch import answering, launch, refuse_doubles
 from resc.learning.assemble import (
     build_trainer,
     check_held_out,
+    first_weights,
     fly_held_out,
     restore,
     resumed,
@@ -52,6 +54,8 @@ def main(config: DictConfig) -> None:
         refuse_doubles()
         check_settings(config, schema.TrainSchema)
         OmegaConf.resolve(config)
+        if config["init_from"]:
+            config["init_from"] = str(first_weights(config["init_from"], folder))
         if config["resume"]:
             config = resumed(config, overrides, folder)
             summary = summary_of(folder)
@@ -67,8 +71,7 @@ def run(config: DictConfig, folder: Path, overrides: Sequence[str]) -> None:
     print(f"Laying out {config['pool_size']} scenes", flush=True)
     trainer = build_trainer(config)
     check_held_out(config, trainer.env.stages)
-    if config["resume"]:
-        restore(trainer, folder)
+    restore(trainer, config, folder)
     if is_finished(folder):
         put_aside(folder)
     OmegaConf.save(config, folder / CONFIG, resolve=True)

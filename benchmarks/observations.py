@@ -33,6 +33,7 @@ from benchmarks.measure import (
     write_json,
 )
 from resc.build import build_env, build_pool
+from resc.planning.route import planner_for
 from resc.process import prepare_process
 
 NONE, PUBLISHED = "none", "kgp_esdf"
@@ -64,7 +65,13 @@ def measure(args: argparse.Namespace, effort: Effort) -> tuple[dict[str, Cost], 
         overrides = [f"num_envs={args.envs}", f"device={args.device}"]
         config = load([f"obstacle_observation={name}", *overrides])
         if pool is None:
-            pool = build_pool(config, size=config["pool_size"], seed=0, device=args.device)
+            pool = build_pool(
+                config,
+                size=config["pool_size"],
+                seed=0,
+                device=args.device,
+                plan=planner_for(config),
+            )
         flights[name] = Flight(build_env(config, pool))
         flights[name].run(effort.burn_in)
         print(f"{name}: compiled", file=sys.stderr, flush=True)

@@ -35,6 +35,7 @@ from resc.build import build_env, build_pool, build_stages
 from resc.envs.gymnasium_env import QuadrotorGymEnv
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.learning.assemble import build_trainer
+from resc.planning.route import planner_for
 from resc.process import prepare_process
 from resc.scenes.pool import ScenePool
 
@@ -138,7 +139,9 @@ def _sb3_rate(
 
 def _pool(task: str, device: str) -> ScenePool:
     config = load(TASKS[task])
-    return build_pool(config, size=config["pool_size"], seed=0, device=device)
+    return build_pool(
+        config, size=config["pool_size"], seed=0, device=device, plan=planner_for(config)
+    )
 
 
 def table(rows: list[Row]) -> str:

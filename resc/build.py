@@ -160,7 +160,14 @@ def build_terms(group: Any, path: str, kind: type[Term], allowed: Iterable[str] 
 
 
 def _build_term(node: Any, path: str, allowed: Iterable[str], kind: type[Term]) -> Any:
-    """One term, and the difficulty that eases it, which is no argument of its class."""
+    """One term, and what is no argument of its class: the difficulty that eases it, `optional`."""
+    if isinstance(node, Mapping) and "optional" in node and kind is Curriculum:
+        rest = {key: value for key, value in node.items() if key != "optional"}
+        term = build(rest, path, allowed=allowed, kind=kind)
+        if not isinstance(node["optional"], bool):
+            raise ConfigError(f"{path}.optional is {node['optional']!r}; expected true or false.")
+        term.optional = node["optional"]
+        return term
     if not isinstance(node, Mapping) or "difficulty" not in node:
         return build(node, path, allowed=allowed, kind=kind)
     eased = node["difficulty"]

@@ -291,6 +291,11 @@ def files_of_run() -> ConfigRepository:
     return ConfigRepository(search)
 
 
+def given() -> list[str]:
+    """The overrides of the command, as they were typed."""
+    return [str(text) for text in HydraConfig.get().overrides.task]
+
+
 def compose_scenes(config: DictConfig, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """The scenes of these names with the numbers of `scene` in place of their own.
 

@@ -64,18 +64,21 @@ class TrainSchema(RunSchema):
         evaluation_seed: Of those scenes; training seeds are never this one.
         held_out: Groups that those episodes are flown with in place of training's; the metrics in
             evaluation.csv are its `metric`.
+        init_from: Folder of a run or a shipped policy whose weights training begins with, at the
+            first frame and with a fresh optimiser; `latest` is the last run.
         resume: Folder of an interrupted run to go on with; `latest` is the last one.
         checkpoint_every_s: Seconds between checkpoints.
     """
 
     name: str = "train"
     num_envs: int = 1024
-    total_frames: int = 12_000_000
+    total_frames: int = 36_000_000
     pool_size: int = 2048
     renew_scenes: int = 64
     evaluation_episodes: int = 1000
     evaluation_seed: int = 1_000_003
     held_out: dict[str, Any] = field(default_factory=dict)
+    init_from: str | None = None
     resume: str | None = None
     checkpoint_every_s: float = 60.0
     curriculum: dict[str, Any] = field(default_factory=dict)

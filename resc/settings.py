@@ -45,6 +45,8 @@ RESUMABLE = (
     "recorder.when_full",
 )
 """Settings that a resumed run takes from its command line; all others are the run's own."""
+LATER = ("init_from",)
+"""Settings that older runs lack, and that change nothing as long as they are null."""
 NO_MATTER = (*RESUMABLE, "resume", "recorder", "logger")
 """Settings that change nothing about what is learned."""
 
@@ -80,7 +82,8 @@ def typed(stored: DictConfig, schema: type[RunSchema], path: Path) -> DictConfig
         ConfigError: A setting is missing, foreign, of another type or out of range.
     """
     repair = f"restore {path} from its run"
-    if missing := [field.name for field in fields(schema) if field.name not in stored]:
+    names = [field.name for field in fields(schema) if field.name not in LATER]
+    if missing := [name for name in names if name not in stored]:
         raise ConfigError(f"{path} has no {missing[0]}; {repair}.")
     try:
         config = cast(DictConfig, OmegaConf.merge(OmegaConf.structured(schema), stored))
@@ -97,7 +100,8 @@ def fingerprint(config: DictConfig) -> str:
     It is stored with weights, so that those of one run are not taken for another's.
     """
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    made = {name: value for name, value in plain.items() if name not in NO_MATTER}
+    unset = {name for name in LATER if plain.get(name) is None}
+    made = {name: value for name, value in plain.items() if name not in {*NO_MATTER, *unset}}
     return hashlib.sha256(json.dumps(made, sort_keys=True, default=str).encode()).hexdigest()
 
 

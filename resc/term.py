@@ -291,12 +291,16 @@ class Curriculum(Term):
     next reset. What a curriculum remembers stands under the keys of `initial`. Scenes are laid out
     in advance at its `levels`, in ascending order; a difficulty between two of them draws episodes
     from both.
+
+    With `optional: true` in its configuration, it rests where nothing reads its difficulty: that of
+    a reward that a study leaves out.
     """
 
     group = "difficulty"
     section = "curriculum"
     writes = (keys.CURRICULUM_DIFFICULTY,)
     levels: Sequence[float]
+    optional: bool = False
 
 
 def uniform_between(unit: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor:

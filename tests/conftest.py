@@ -20,6 +20,7 @@ from resc.build import build_env, build_pool, build_stages
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 from resc.launch import launch
+from resc.planning.route import planner_for
 
 CONF = Path(__file__).parents[1] / "conf"
 SLOW_S = 900
@@ -68,7 +69,12 @@ def make_env(compose: Callable[..., DictConfig]) -> Callable[..., QuadrotorEnv]:
         config = compose(*overrides)
         options.setdefault("tried", overrides not in known)
         known.add(overrides)
-        return build_env(config, build_pool(config, size=scenes, seed=seed), seed=seed, **options)
+        return build_env(
+            config,
+            build_pool(config, size=scenes, seed=seed, plan=planner_for(config)),
+            seed=seed,
+            **options,
+        )
 
     return make
 

@@ -73,7 +73,7 @@ def readers(config: DictConfig) -> dict[str, Callable[[Path], object]]:
             succeeded(summary)
         prepare_process(again["threads"], again["device"])
         trainer = build_trainer(again)
-        restore(trainer, run)
+        restore(trainer, again, run)
         ProgressTable(run / "progress.csv", trainer.frames)
         trainer.iterate()
 

@@ -32,6 +32,7 @@ from resc.build import build
 from resc.errors import RescError
 from resc.evaluation.courses import lay_out
 from resc.evaluation.setting import build_flying_env, settings_for
+from resc.evaluation.suites import amounts_of
 from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_policy
 from resc.learning.progress import describe
@@ -60,7 +61,7 @@ CASE_S = 20.0
 """How much time of the processor a case may take."""
 MEMORY = 4 << 30
 """How much a case may take beyond what the process has."""
-ELSEWHERE = ("resume", "replay", "policy", "scenes", "compile")
+ELSEWHERE = ("resume", "replay", "policy", "scenes", "suite", "compile")
 """Settings that only the whole scripts read, or that only cost time."""
 CONSEQUENCE = "Every episode ends in its first step"
 """How a sentence begins that names what ends the episodes, whatever setting makes them end."""
@@ -137,7 +138,8 @@ class Rest:
         stored = OmegaConf.to_container(self.policy.config, resolve=True)
         planner = planner_for({**config, "env": config["env"] or stored["env"]})
         scenes = {name: load("scene", name) for name in listed(config["scenes"])}
-        courses = lay_out(scenes, config["flights"], seed=config["seed"], planner=planner)
+        amounts = amounts_of(config, list(scenes))
+        courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner)
         settings = settings_for(config, stored, own_routes=courses[0].own_routes)
         env = build_flying_env(courses, settings)
         env.restart(torch.arange(env.num_envs))

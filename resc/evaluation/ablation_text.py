@@ -8,6 +8,7 @@ from pathlib import Path
 from resc.evaluation.ablation_analysis import LEAST_ARRIVALS, Analysis, Result
 from resc.evaluation.ablation_figures import FIGURES
 from resc.evaluation.bootstrap import DRAWS, Estimate
+from resc.evaluation.held_out import COLUMNS
 from resc.evaluation.study import Run, Sweep, differing
 
 NAME, VARIANTS, RUNS = "report.md", "variants.csv", "runs.csv"
@@ -58,11 +59,34 @@ def markdown(sweep: Sweep, analysis: Analysis) -> str:
         _unequal_budgets(done),
         _table((*head, *costs), rows),
         notes,
+        _metrics(sweep),
         *(f"## {title}\n\n![{title}]({name})" for name, title in FIGURES.items()),
         "## Runs",
         _table(("run", "variant", "seed", "overrides that differ", "success [%]"), _listed(sweep)),
     ]
     return "\n\n".join(part.rstrip() for part in parts if part) + "\n"
+
+
+def _metrics(sweep: Sweep) -> str:
+    """Means of the metrics that only some studies have, by variant; nothing if there are none."""
+    tables = [run.episodes for run in sweep.finished() if run.episodes is not None]
+    shown = [name for name in tables[0] if name not in COLUMNS]
+    own = [name for name in shown if all(name in table for table in tables)]
+    if not own:
+        return ""
+    rows = [[name, *(_mean(sweep, name, column) for column in own)] for name in sweep.variants]
+    rows = [row for row in rows if any(cell != "-" for cell in row[1:])]
+    head = ["variant", *(name.replace("_", " ") for name in own)]
+    note = "Means over all held-out flights, mean of the seeds with the least and the greatest."
+    return f"## Metrics\n\n{_table(head, rows)}\n\n{note}"
+
+
+def _mean(sweep: Sweep, variant: str, column: str) -> str:
+    if not sweep.finished(variant):
+        return "-"
+    of_seeds = sweep.column(variant, column).mean(1)
+    ends = f" ({of_seeds.min():.3g} to {of_seeds.max():.3g})" if len(of_seeds) > 1 else ""
+    return f"{of_seeds.mean():.3g}{ends}"
 
 
 def _unequal_budgets(runs: Sequence[Run]) -> str:

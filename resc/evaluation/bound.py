@@ -17,7 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
@@ -28,7 +27,7 @@ from resc.evaluation.reference_picture import draw_references
 from resc.evaluation.references import Reference, crossings, digest, keep, limits_of, outdone, read_references
 from resc.evaluation.suites import Amount, amounts_of, scenes_to_fly
 from resc.evaluation.table import aligned
-from resc.launch import compose_scenes, launch_here
+from resc.launch import compose_scenes, given, launch_here
 from resc.planning.route import RoutePlanner, planner_for
 from resc.planning.time_optimal import Crossing, Limits, solve, solver
 from resc.planning.visibility_search import PlannedPath
@@ -56,7 +55,7 @@ def main(config: DictConfig, folder: Path) -> None:
     planner = planner_for(config)
     if planner is None:
         raise ConfigError("search is none, but the path leads the solver; set search=visibility.")
-    scenes = compose_scenes(config, scenes_to_fly(config, HydraConfig.get().overrides.task))
+    scenes = compose_scenes(config, scenes_to_fly(config, given()))
     tasks = list(find_tasks(scenes, config, planner, limits))
     with logged(folder / "bound.log"):
         OmegaConf.save(config, folder / "config.yaml")

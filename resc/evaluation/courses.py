@@ -163,7 +163,7 @@ def drawn(
             "leave maps out, or raise flights."
         )
     cell_m = planner.search.resolution_m if planner else TYPICAL_CELL_M
-    one = scene.sample(1, generator_for(seed, f"evaluation/{name}"))
+    one = _sample(scene, name, generator_for(seed, f"evaluation/{name}"))
     require_room(flights, one.size, cell_m, "cpu")
     if maps:
         if planner is None:
@@ -188,7 +188,7 @@ def _on_maps(
     for number in range(amount.drawn):
         path = f"evaluation/{name}/map/{number}"
         for attempt in range(TRIES):
-            layout = scene.sample(1, generator_for(seed, f"{path}/{attempt}"))
+            layout = _sample(scene, name, generator_for(seed, f"{path}/{attempt}"))
             layout = replace(layout, start_w=scene.start_m[None])
             if planner.joins(layout):
                 break
@@ -212,6 +212,14 @@ def _on_maps(
     nominal = layout.start_w
     layout = replace(layout, start_w=nominal + torch.cat(offsets))
     return Drawn(layout, nominal, number.numpy(), redrawn)
+
+
+def _sample(scene: Scene, name: str, generator: torch.Generator) -> Layout:
+    """One scene of a configuration; what it complains of comes with its name."""
+    try:
+        return scene.sample(1, generator)
+    except ConfigError as error:
+        raise ConfigError(f"scene {name}: {error}") from None
 
 
 def _needs_search(name: str) -> ConfigError:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -13,7 +14,7 @@ from matplotlib.lines import Line2D
 from resc.evaluation.colours import BOUND, COLLISION, DASHES, LOST, PLAN, SPEED
 from resc.evaluation.panel import Flown, Panel, draw_panel
 from resc.evaluation.statistics import SceneReport
-from resc.evaluation.worst import worst_maps
+from resc.evaluation.worst import slowness, worst_maps
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -43,7 +44,17 @@ def draw_overview(scenes: Sequence[Flown], path: Path) -> None:
 
 def _worst(flown: Flown) -> list[list[int]]:
     """The flights of each map, the worst map first."""
-    return [own.tolist() for own in worst_maps(flown.course, flown.flights, flown.references)]
+    flights, count = flown.flights, len(flown.flights)
+    clearance = flights.metrics.get("least_clearance")
+    seconds = flights.counted.double().numpy() * flights.dt_s
+    bounds = [None if r is None else r.fastest.duration_s for r in flown.references]
+    ranked = worst_maps(
+        flown.course.number,
+        failed=~flights.success.numpy(),
+        clearance_m=np.full(count, np.inf) if clearance is None else clearance.double().numpy(),
+        slowness=slowness(seconds, bounds, flown.course.planned_lengths_m),
+    )
+    return [own.tolist() for own in ranked]
 
 
 def _scene_panel(flown: Flown) -> Panel:

@@ -208,7 +208,7 @@ def effective_flights(success: Bool[np.ndarray, " n"], cluster: Int[np.ndarray, 
     return min(max(share * (1 - share) / variance, least), most) if variance > 0 else most
 
 
-def wilson_interval(successes: float, trials: float) -> tuple[float, float]:
+def wilson_interval(successes: float | int, trials: float | int) -> tuple[float, float]:
     """95 % interval of a rate (Wilson 1927); trials need not be whole.
 
     (p + z^2/2n -+ z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n).

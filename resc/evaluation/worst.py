@@ -3,41 +3,42 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from resc.evaluation.courses import Course
-from resc.evaluation.flights import Flights
-from resc.evaluation.references import Reference
 from resc.evaluation.statistics import CLOSE_M
 
 
 def worst_maps(
-    course: Course, flights: Flights, references: Sequence[Reference | None]
-) -> list[Int[np.ndarray, " f"]]:
+    number: Int[np.ndarray, " f"],
+    *,
+    failed: Bool[np.ndarray, " f"],
+    clearance_m: Float[np.ndarray, " f"],
+    slowness: Float[np.ndarray, " f"],
+) -> list[Int[np.ndarray, " _"]]:
     """The flights of each map, the worst map first.
 
     First the maps on which flights fail, by how many; then those on which one comes closer than
-    0.3 m to an obstacle, by the least clearance; then the others, the slowest first: by the longest
-    time over the bound, or over the planned length where a map has no bound.
+    0.3 m to an obstacle, by the least clearance; then the others, the slowest first.
+
+    Args:
+        number: Of each flight, its map.
+        failed: Whether it does not arrive.
+        clearance_m: Its least clearance.
+        slowness: Its time over one that does not depend on the flight.
     """
-    failed = ~flights.success.numpy()
-    clearance = flights.metrics.get("least_clearance")
-    near = np.full(len(flights), np.inf) if clearance is None else clearance.double().numpy()
-    slowness = _slowness(course, flights, references)
     ranked = []
-    for number in np.unique(course.number):
-        own = np.flatnonzero(course.number == number)
-        closest = float(near[own].min())
-        tight = min(closest, CLOSE_M)
-        lost = int(failed[own].sum())
-        ranked.append(((-lost, tight, -float(slowness[own].max())), own))
+    for which in np.unique(number):
+        own = np.flatnonzero(number == which)
+        tight = min(float(clearance_m[own].min()), CLOSE_M)
+        ranked.append(((-int(failed[own].sum()), tight, -float(slowness[own].max())), own))
     return [own for _, own in sorted(ranked, key=lambda pair: pair[0])]
 
 
-def _slowness(
-    course: Course, flights: Flights, references: Sequence[Reference | None]
+def slowness(
+    seconds: Float[np.ndarray, " f"],
+    bounds_s: Sequence[float | None],
+    planned_m: Float[np.ndarray, " f"],
 ) -> Float[np.ndarray, " f"]:
-    """Time up to the finish over the bound, or over the planned length if any map has no bound."""
-    seconds = flights.counted.double().numpy() * flights.dt_s
-    bounds = [reference.fastest.duration_s for reference in references if reference is not None]
-    return seconds / (bounds if len(bounds) == len(flights) else course.planned_lengths_m)
+    """Time of each flight over its bound, or over its planned length unless all have a bound."""
+    known = [bound for bound in bounds_s if bound is not None]
+    return seconds / (np.array(known) if len(known) == len(seconds) else planned_m)

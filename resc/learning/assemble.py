@@ -13,7 +13,13 @@ from resc.envs.stages import Stages
 from resc.errors import ConfigError
 from resc.evaluation.flights import Flights, fly_recorded, require_time_limit
 from resc.evaluation.held_out import held_out_rules, tabulate_episodes, write_episodes
-from resc.learning.checkpoint import load_checkpoint, load_policy, require_same_layout
+from resc.learning.checkpoint import (
+    load_checkpoint,
+    load_policy,
+    load_weights,
+    policy_folder,
+    require_same_layout,
+)
 from resc.learning.ppo import Ppo
 from resc.planning.route import planner_for
 from resc.run_folder import (
@@ -21,6 +27,7 @@ from resc.run_folder import (
     CONFIG,
     EPISODES,
     HELD_OUT,
+    LATEST,
     ORIGIN,
     SUMMARY,
     json_of,
@@ -136,12 +143,31 @@ def _require_longer(frames: int, budget: int, folder: Path) -> None:
         )
 
 
-def restore(trainer: Ppo, folder: Path) -> None:
-    """Loads the checkpoint of a folder; without one, the run begins again."""
-    if (folder / CHECKPOINT).exists():
+def first_weights(text: str, folder: Path) -> Path:
+    """The folder that `init_from` names, in the run that trains in `folder`.
+
+    Raises:
+        ConfigError: There is none, or `latest` stands for another in each run of a sweep.
+    """
+    if text == LATEST and sweep_of(folder):
+        raise ConfigError(
+            f"init_from is {LATEST}, which each run of a sweep changes; name the folder."
+        )
+    return policy_folder(text, "init_from").resolve()
+
+
+def restore(trainer: Ppo, config: Mapping[str, Any], folder: Path) -> None:
+    """Loads what training begins with, if anything.
+
+    A resumed run's checkpoint (without one yet, it begins again), else the weights of `init_from`.
+    """
+    if config["resume"] and (folder / CHECKPOINT).exists():
         load_checkpoint(folder / CHECKPOINT, trainer)
-    else:
+        return
+    if config["resume"]:
         print(f"{folder} holds no checkpoint yet: the run begins again.", flush=True)
+    if config["init_from"]:
+        load_weights(Path(config["init_from"]), trainer.networks, trainer.env.stages)
 
 
 def build_held_out(config: Mapping[str, Any], episodes: int) -> tuple[QuadrotorEnv, dict[str, Any]]:

@@ -25,7 +25,7 @@ from resc.envs.stages import Stages
 from resc.errors import CheckpointError
 from resc.learning.networks import Networks
 from resc.learning.ppo import Ppo
-from resc.run_folder import CHECKPOINT, CONFIG, POLICY
+from resc.run_folder import CHECKPOINT, CONFIG, LATEST, POLICY, latest
 from resc.settings import fingerprint
 
 Layout = tuple[tuple[str, int], ...]
@@ -97,6 +97,40 @@ def save_policy(folder: Path, networks: Networks, stages: Stages, config: DictCo
     }
     write_atomically(folder / POLICY, content)
     OmegaConf.save(config, folder / CONFIG, resolve=True)
+
+
+def policy_folder(text: str, setting: str) -> Path:
+    """The folder that `policy` or `init_from` names: `latest` is the last run that was trained.
+
+    One that the working directory lacks may be RESC's own: policies/obstacles.
+    """
+    if text == LATEST:
+        return latest(setting, "train")
+    ours = Path(__file__).parents[2] / text
+    return ours if ours.exists() and not Path(text).exists() else Path(text)
+
+
+def load_weights(folder: Path, networks: Networks, stages: Stages) -> None:
+    """Puts the weights of a stored policy, value function and normalisation included, into others.
+
+    Raises:
+        CheckpointError: A file is missing, cut short or foreign, or it is of another observation
+            or other networks.
+    """
+    if not (folder / POLICY).exists():
+        raise CheckpointError(f"{folder} holds no {POLICY}; {_where_else(folder)}.")
+    content = read(folder / POLICY, ("head", "critic", "layout"))
+    require_same_layout([(str(name), int(width)) for name, width in content["layout"]], stages)
+    try:
+        networks.head.load_state_dict(content["head"])
+        networks.critic.load_state_dict(content["critic"])
+        networks.normalization.load_state_dict(content.get("normalization", {}))
+    except RuntimeError:
+        model = load_config(folder / CONFIG).get("model")
+        raise CheckpointError(
+            f"The networks of {folder} are not those of this run; give it the same: model is "
+            f"{model} there."
+        ) from None
 
 
 def load_policy(

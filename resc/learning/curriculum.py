@@ -29,6 +29,8 @@ class Curricula:
     """
 
     def __init__(self, terms: Sequence[Curriculum], env: QuadrotorEnv) -> None:
+        read = env.stages.difficulties
+        terms = [term for term in terms if term.name in read or not term.optional]
         _check_difficulties([term.name for term in terms], env.stages)
         self.terms = terms
         self.env = env

@@ -30,6 +30,7 @@ from resc.term import Curriculum
 
 RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
 """State before each step that a rollout keeps, beside what the update needs."""
+SCHEDULES = ("linear", "geometric")
 RENEWED = "scene_renewed"
 """Outcome of an episode cut because its scene was laid out anew."""
 
@@ -43,7 +44,7 @@ class PpoSettings:
         minibatch: Samples per gradient step.
         epochs: Passes over a batch.
         learning_rate: Of Adam, at the start.
-        final_learning_rate: At the end; linear in between.
+        final_learning_rate: At the end.
         gamma: Discount per step.
         gae_lambda: Of the generalised advantage estimate.
         clip_epsilon: Clip of the probability ratio.
@@ -54,6 +55,8 @@ class PpoSettings:
             of order one.
         target_kl: Skips the rest of a batch's epochs once the policy has moved this far; null never
             does.
+        schedule: Of the learning rate between the two: linear, or geometric (by the same factor
+            after every batch).
     """
 
     steps: Annotated[int, Within(1)]
@@ -69,11 +72,20 @@ class PpoSettings:
     max_grad_norm: Positive
     reward_scale: Positive
     target_kl: Positive | None = None
-    cycles: Count = 1
+    schedule: str = "linear"
 
     def __post_init__(self) -> None:
         if min(self.steps, self.minibatch, self.epochs) < 1:
             raise ConfigError("steps, minibatch and epochs must be at least 1.")
+        if self.schedule not in SCHEDULES:
+            raise ConfigError(
+                f"schedule is '{self.schedule}'; expected one of {', '.join(SCHEDULES)}."
+            )
+        if self.schedule == "geometric" and self.final_learning_rate <= 0:
+            raise ConfigError(
+                f"final_learning_rate is {self.final_learning_rate}; a geometric schedule needs "
+                "one above zero."
+            )
         if not 0 < self.gamma <= 1 or not 0 <= self.gae_lambda <= 1:
             raise ConfigError(
                 f"gamma is {self.gamma} and gae_lambda {self.gae_lambda}; expected shares up to 1."
@@ -342,10 +354,10 @@ class Ppo:
 
     def _learning_rate(self) -> float:
         settings = self.settings
-        share = self.share_trained * settings.cycles % 1.0 if self.share_trained < 1 else 1.0
-        return settings.learning_rate + share * (
-            settings.final_learning_rate - settings.learning_rate
-        )
+        first, last = settings.learning_rate, settings.final_learning_rate
+        if settings.schedule == "geometric":
+            return first * (last / first) ** self.share_trained
+        return first + self.share_trained * (last - first)
 
     def _allocate(self) -> TensorDict:
         """The batch's memory, [steps, n]."""

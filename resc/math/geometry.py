@@ -1,7 +1,7 @@
 """Distances that do not turn into NaN, and obstacles in the plane."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 EPSILON = 1e-9
@@ -47,3 +47,17 @@ def segment_distance(
     share = ((points - start) * along).sum(-1) / (along.square().sum(-1) + EPSILON)
     nearest = start + share.clamp(0, 1).unsqueeze(-1) * along
     return torch.linalg.vector_norm(points - nearest, dim=-1)
+
+
+def in_view(
+    offset_b: Float[Tensor, "n 3"], horizontal_rad: float, vertical_rad: float, blind_m: float
+) -> Bool[Tensor, "n 1"]:
+    """Whether a camera that looks along the body's x axis sees a point at `offset_b` [m].
+
+    Within half of both opening angles, or nearer than `blind_m`: next to the vehicle a point has no
+    direction.
+    """
+    x, y, z = offset_b.unbind(-1)
+    azimuth = torch.atan2(y, x).abs() <= horizontal_rad / 2
+    elevation = torch.atan2(z, norm(offset_b[:, :2])[:, 0]).abs() <= vertical_rad / 2
+    return ((azimuth & elevation) | (norm(offset_b)[:, 0] < blind_m)).unsqueeze(-1)

@@ -12,7 +12,7 @@ from resc.math.sampling import generator_for
 @pytest.fixture
 def env(make_env):
     """Three environments, not yet reset."""
-    return make_env("num_envs=3", "scene.boxes=0", "obstacle_observation=none", scenes=2)
+    return make_env("num_envs=3", "scene=free", "obstacle_observation=none", scenes=2)
 
 
 def test_a_step_before_the_reset_says_to_reset(env):
@@ -80,7 +80,7 @@ def test_a_difficulty_that_nothing_reads_is_refused(env):
 
 @pytest.mark.slow
 def test_gymnasium_users_may_send_double_precision_and_whole_numbers(make_env):
-    alone = QuadrotorGymEnv(make_env("num_envs=1", "scene.boxes=0"))
+    alone = QuadrotorGymEnv(make_env("num_envs=1", "scene=free"))
     with pytest.raises(CallError, match="has not been reset"):
         alone.step(np.zeros(4))
     for action in (np.zeros(4), np.zeros(4, dtype=np.int64)):

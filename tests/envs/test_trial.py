@@ -9,6 +9,7 @@ from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError
 from resc.learning.curriculum import Curricula
+from resc.planning.route import planner_for
 from resc.term import (
     Action,
     Curriculum,
@@ -25,8 +26,8 @@ from resc.term import (
 @pytest.fixture(scope="module")
 def try_out(compose):
     """`try_out(term, group)`: builds the default environment with one more term in a group."""
-    config = compose("scene.boxes=0", "scene.proposals=1")
-    pool = build_pool(config, size=2, seed=0)
+    config = compose("scene=free", "scene.proposals=1")
+    pool = build_pool(config, size=2, seed=0, plan=planner_for(config))
 
     def make(term, group):
         stages = build_stages(config)
@@ -206,7 +207,12 @@ def test_a_wrong_curriculum_is_named_with_what_was_expected(make_env, case):
         Curriculum, compute, reads=(keys.TRAINED_SHARE,), levels=(0.0, 1.0),
         initial={keys.CURRICULUM_DIFFICULTY: 0.0},
     )  # fmt: skip
-    env = make_env("scene.difficulty=mine", "task.initial_state.difficulty=null", "scene.boxes=0")
+    env = make_env(
+        "scene.difficulty=mine",
+        "task.initial_state.difficulty=null",
+        "scene=free",
+        "reward=[progress,time]",
+    )
     with pytest.raises(ConfigError, match=message):
         Curricula([term.named("mine")], env)
 
@@ -223,7 +229,7 @@ def test_the_trial_draws_nothing_from_anyone(compose):
     torch.manual_seed(7)
     untouched = torch.rand(3)
     torch.manual_seed(7)
-    pool = build_pool(config, size=2, seed=0)
+    pool = build_pool(config, size=2, seed=0, plan=planner_for(config))
     state = pool.generator.get_state()
     env = build_env(config, pool, seed=0)
     assert torch.equal(pool.generator.get_state(), state)

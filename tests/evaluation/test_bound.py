@@ -43,8 +43,17 @@ def test_map_that_all_flights_share_is_solved_once_from_its_start_without_jitter
 
 def test_maps_that_differ_are_solved_one_by_one(tasks):
     found = tasks(field=BOXES)
-    assert [name for name, *_ in found] == ["field", "field, flight 1", "field, flight 2"]
+    assert [name for name, *_ in found] == ["field, map 0", "field, map 1", "field, map 2"]
     assert len({crossing.boxes for _, crossing, _ in found}) == 3
+
+
+def test_fewer_maps_are_the_first_ones(evaluation, planner):
+    def solved(*overrides):
+        config = evaluation(*overrides)
+        return list(find_tasks({"random_boxes": BOXES}, config, planner, limits_of(config)))
+
+    two, three = solved("suite=field", "maps=2"), solved("suite=field", "maps=3", "flights=4")
+    assert [(name, crossing) for name, crossing, _ in two] == [task[:2] for task in three[:2]]
 
 
 def test_scene_with_its_own_routes_is_refused(tasks):

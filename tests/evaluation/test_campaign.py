@@ -13,6 +13,7 @@ from resc.errors import CheckpointError, ConfigError
 from resc.evaluation.campaign import evaluate
 from resc.evaluation.courses import drawn
 from resc.evaluation.references import Reference, crossings, keep, limits_of
+from resc.evaluation.suites import Amount
 from resc.learning.checkpoint import Policy
 from resc.planning.trajectory import Trajectory
 from resc.recording.reader import RolloutLog
@@ -45,9 +46,9 @@ def run(evaluation, policy, tmp_path_factory):
     stored = folder.parents[2] / "references.json"
     small = ["flights=2", "policy=somewhere", "recorder=mcap", "seed=4"]
     config = evaluation(*small, f"references={stored}")
-    layout, nominal = drawn("corridor", SCENES["corridor"], 1, seed=4, planner=None)
+    one = drawn("corridor", SCENES["corridor"], Amount(1), seed=4, planner=None)
     flight = Trajectory(0.5, np.linspace([1.0, 2.2, 1.0], [3.0, 2.2, 1.0], 9) ** 1.5)
-    crossing = crossings(layout, nominal, limits_of(config))[0]
+    crossing = crossings(one.layout, one.nominal_w, limits_of(config))[0]
     keep(Reference("corridor", crossing, 2.0, flight, flight), stored)
     return folder, evaluate(config, policy, SCENES, folder, ["flights=2", "seed=4"])
 
@@ -172,3 +173,29 @@ def test_refused_policy_leaves_no_summary(evaluation, policy, stored, tmp_path):
     with pytest.raises(CheckpointError, match="compass"):
         evaluate(evaluation("flights=1"), wrong, SCENES, tmp_path)
     assert not (tmp_path / "summary.json").exists()
+
+
+FOREST = {
+    "_target_": "resc.scenes.pillar_forest.PillarForest",
+    "density_per_m2": 0.2,
+    "forest_m": [1.0, -1.5, 2.0, 3.0],
+    "origin_m": [-1.0, -2.0],
+    "size_m": [6.0, 4.0],
+    "keep_clear_m": 0.6,
+    "goal_m": [3.0, 0.0, 1.0],
+    "jitter_m": 0.1,
+}
+
+
+def test_suite_counts_its_maps_and_draws_the_worst(evaluation, policy, tmp_path):
+    config = evaluation("+suite.grove={maps: 3, flights: 2}", "policy=somewhere", "scene_files=0")
+    text = evaluate(config, policy, {"grove": FOREST}, tmp_path)
+    with (tmp_path / "flights.csv").open() as file:
+        flights = list(csv.DictReader(file))
+    assert [row["map"] for row in flights] == ["0", "0", "1", "1", "2", "2"]
+    assert all(0 <= float(row["spl"]) <= 1 for row in flights)
+    scene = json.loads((tmp_path / "summary.json").read_text())["scenes"]["grove"]
+    assert (scene["maps"], scene["redrawn"], scene["episodes"]) == (3, 0, 6)
+    assert "| maps without a route" in text
+    height, width, _ = plt.imread(tmp_path / "flight_grove.png").shape
+    assert width > 500 < height

@@ -6,6 +6,7 @@ import torch
 
 from resc.errors import ConfigError, PlanningError
 from resc.evaluation.courses import lay_out
+from resc.evaluation.suites import Amount
 
 FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
 BOXES = {"_target_": "resc.scenes.random_boxes.RandomBoxes", "boxes": 40, "jitter_m": 0.1}
@@ -66,3 +67,59 @@ def test_unreachable_goal_names_the_scene(corridor):
 def test_wrong_lists_are_refused(scenes, flights, message):
     with pytest.raises(ConfigError, match=message):
         lay_out(scenes, flights, seed=1, planner=None)
+
+
+FOREST = {
+    "_target_": "resc.scenes.pillar_forest.PillarForest",
+    "density_per_m2": 0.32,
+    "jitter_m": 0.1,
+}
+CROWDED = {**FOREST, "density_per_m2": 0.5, "gap_m": 0.2}
+"""Some maps have no route."""
+
+
+def on_maps(planner, maps, flights, node=FOREST, seed=1):
+    return lay_out({"forest": node}, {"forest": Amount(flights, maps)}, seed=seed, planner=planner)
+
+
+def test_flights_of_a_map_share_it_and_start_within_the_jitter(planner):
+    (course,) = on_maps(planner, 3, 4)
+    assert course.number.tolist() == [n for n in range(3) for _ in range(4)]
+    assert (course.maps, course.redrawn) == (3, 0)
+    pillars = course.layout.pillars_w.reshape(3, 4, -1)
+    assert (pillars == pillars[:, :1]).all()
+    assert not torch.equal(pillars[0], pillars[1])
+    offset = course.layout.start_w - course.nominal_w
+    assert len({tuple(row) for row in offset.tolist()}) == 12
+    assert 0.05 < offset.abs().max() <= 0.1
+
+
+def test_first_maps_are_the_same_however_many_there_are(planner):
+    (few,), (many,) = on_maps(planner, 2, 1), on_maps(planner, 4, 3)
+    assert torch.equal(few.layout.pillars_w, many.layout.pillars_w[[0, 3]])
+
+
+def test_maps_without_a_route_are_drawn_again_and_counted(planner):
+    (course,) = on_maps(planner, 6, 2, CROWDED)
+    assert course.redrawn > 0
+    assert course.maps == 6
+    assert (course.layout.route_length > 1).all()
+
+
+def test_maps_that_never_have_a_route_name_the_density_and_the_tries(planner):
+    with pytest.raises(
+        ConfigError,
+        match=r"^scene forest \(density_per_m2 1.2, gap_m 0.1\) found no free route in 100 tries "
+        r"of map 0: from \(0, 0, 1\) to \(16, 0, 1\) m, 0.4 m from obstacles",
+    ):
+        on_maps(planner, 1, 1, {**FOREST, "density_per_m2": 1.2, "gap_m": 0.1})
+
+
+def test_forest_that_has_no_room_names_its_scene(planner):
+    with pytest.raises(ConfigError, match=r"^scene forest: density_per_m2 is 3, but of 420"):
+        on_maps(planner, 1, 1, {**FOREST, "density_per_m2": 3.0})
+
+
+def test_maps_of_a_scene_that_draws_none_are_refused(planner):
+    with pytest.raises(ConfigError, match="maps is 3, but scene forest draws no maps"):
+        on_maps(planner, 3, 1, FREE)

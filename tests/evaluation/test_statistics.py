@@ -5,7 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from resc.evaluation.statistics import join, median, report_scenes, summarise, wilson_interval
+from resc.evaluation.statistics import (
+    effective_flights,
+    join,
+    median,
+    report_scenes,
+    success_by_length,
+    summarise,
+    wilson_interval,
+)
 
 
 def table(scene="one", **changes):
@@ -102,3 +110,45 @@ def test_one_scene_is_reported_once():
 
 def test_joined_tables_keep_the_order():
     assert join([table("one"), table("two")])["scene"].tolist() == ["one"] * 4 + ["two"] * 4
+
+
+def test_success_is_weighted_by_the_path_flown():
+    arrived = np.array([True, True, True, False])
+    flown = np.array([8.0, 4.0, 5.0, 4.0])
+    weighted = success_by_length(arrived, flown, np.array([4.0, 4.0, 6.0, 4.0]))
+    assert weighted.tolist() == [0.5, 1.0, 1.0, 0.0]
+
+
+def test_flights_of_one_map_that_are_copies_count_as_one():
+    arrived = np.repeat([True, False, True, True], 5)
+    maps, apart = np.repeat(np.arange(4), 5), np.arange(20)
+    assert effective_flights(arrived, apart) == 20
+    assert effective_flights(arrived, maps) == 4  # 3 at least: p (1 - p) / var(p)
+    assert effective_flights(np.ones(20, bool), maps) == 4
+    mixed = np.array([True, True, True, True, False] * 4)
+    assert effective_flights(mixed, maps) == 20
+
+
+def test_interval_of_a_scene_with_several_maps_is_that_of_the_maps():
+    everywhere = table(success=np.ones(4, bool))
+    one = summarise("one", {**everywhere, "map": np.array([0, 0, 0, 0])})
+    two = summarise("one", {**everywhere, "map": np.array([0, 0, 1, 1])})
+    assert (one.maps, two.maps) == (1, 2)
+    assert one.success_low == pytest.approx(wilson_interval(4, 4)[0])
+    assert two.success_low == pytest.approx(wilson_interval(2, 2)[0])
+
+
+def test_maps_without_a_route_are_added_up_over_the_scenes_that_draw_maps():
+    reports = report_scenes([table(), table("two"), table("three")], [None, 2, 3])
+    assert [report.redrawn for report in reports] == [None, 2, 3, 5]
+
+
+def test_interval_covers_the_rate_of_maps_that_differ():
+    rng, cluster, covered = np.random.default_rng(0), np.repeat(np.arange(100), 5), np.zeros(2)
+    for _ in range(300):
+        arrived = rng.random((100, 5)) < rng.beta(0.6, 0.0667, (100, 1))  # a rate of 0.9
+        for which, trials in enumerate((effective_flights(arrived.ravel(), cluster), 500)):
+            low, high = wilson_interval(arrived.mean() * trials, trials)
+            covered[which] += low <= 0.9 <= high
+    assert covered[0] > 0.9 * 300
+    assert covered[1] < 0.8 * 300

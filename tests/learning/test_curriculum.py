@@ -36,7 +36,7 @@ KINDS = {"linear": LINEAR, "success": SUCCESS, "free_then_obstacles": SWITCH}
 @pytest.fixture
 def make_trainer(compose):
     return lambda *overrides: build_trainer(
-        compose(*SMALL, "obstacle_observation=none", *overrides)
+        compose(*SMALL, "obstacle_observation=none", "reward=paper2025", *overrides)
     )
 
 
@@ -52,6 +52,17 @@ def test_a_difficulty_that_nothing_reads_is_refused(make_trainer):
         r"it \(~curriculum\.obstacle\).*Did you mean 'obstacles'",
     ):
         make_trainer(f"+curriculum.obstacle={{_target_:{FIXED}}}")
+
+
+def test_an_optional_difficulty_rests_where_nothing_reads_it(make_trainer):
+    trainer = make_trainer(f"+curriculum.obstacle={{_target_:{FIXED},optional:true}}")
+    assert "obstacle" not in trainer.curricula.difficulties
+    assert "obstacles" in trainer.curricula.difficulties
+
+
+def test_optional_is_true_or_false(make_trainer):
+    with pytest.raises(ConfigError, match=r"curriculum\.obstacle\.optional is 'perhaps'; expected"):
+        make_trainer(f"+curriculum.obstacle={{_target_:{FIXED},optional:perhaps}}")
 
 
 @pytest.mark.parametrize("path", ["scene", "task.initial_state", "reward.crash"])

@@ -11,6 +11,7 @@ from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import NumericalError
 from resc.learning.ppo import Ppo
+from resc.planning.route import planner_for
 from resc.term import Observation, Reward, Termination
 
 STEPS = 8
@@ -49,12 +50,13 @@ class AfterFive(Termination):
 def trainer(compose):
     """`trainer(rewards=[...])`: PPO on two environments with further terms in some groups."""
     config = compose(
-        "scene.boxes=0",
+        "scene=free",
+        "reward=paper2025",
         "task=from_rest",
         "algorithm.minibatch=8",
         "task.initial_state.difficulty=null",
     )
-    pool = build_pool(config, size=2, seed=0)
+    pool = build_pool(config, size=2, seed=0, plan=planner_for(config))
 
     def make(**more):
         stages = build_stages(config)

@@ -11,7 +11,8 @@ from resc.scenes.pool import ScenePool
 
 
 def make_pool(compose, *overrides, size=12, **options):
-    return build_pool(compose(*overrides), size=size, seed=3, **options)
+    scene = () if any(text.startswith("scene=") for text in overrides) else ("scene=training",)
+    return build_pool(compose(*scene, *overrides), size=size, seed=3, **options)
 
 
 @pytest.fixture
@@ -152,7 +153,7 @@ def test_routes_of_renewed_scenes_are_padded_and_those_without_room_left_out(com
 
 
 def layered(compose, *overrides, levels=(0.0, 0.5, 1.0), size=12):
-    config = compose(*overrides)
+    config = compose("scene=training", *overrides)
     scene = build(config.scene, "scene")
     generator = generator_for(3, "scene_layout")
     return ScenePool(scene, size=size, resolution_m=0.1, generator=generator, levels=levels)

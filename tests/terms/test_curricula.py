@@ -44,6 +44,17 @@ def test_linear_falls_where_it_ends_lower():
     assert term.levels == pytest.approx([0.2, 0.5, 0.8])
 
 
+def test_linear_keeps_its_first_value_for_a_while():
+    term = Linear(share=0.75, after=0.25, first=1.0, last=0.5)
+    assert after(term, 0.0, 0.25, 0.5, 0.75, 1.0) == [1.0, 1.0, 0.75, 0.5, 0.5]
+
+
+@pytest.mark.parametrize("begins", [-0.1, 0.5, 0.6])
+def test_linear_begins_before_it_ends(begins):
+    with pytest.raises(ConfigError, match=f"after is {begins}; expected a share of the run below"):
+        Linear(share=0.5, after=begins)
+
+
 def test_switch_is_one_thing_and_then_the_other():
     assert after(Switch(share=0.25), 0.0, 0.249, 0.25, 1.0) == [0.0, 0.0, 1.0, 1.0]
 

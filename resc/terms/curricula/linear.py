@@ -38,7 +38,7 @@ class Linear(Curriculum):
         if not 0 < share <= 1:
             raise ConfigError(f"share is {share}; expected a share of the run in (0, 1].")
         if not 0 <= after < share:
-            raise ConfigError(f"after is {after}; expected a share of the run below share, {share}.")
+            raise ConfigError(f"after is {after}; expected a share of the run below {share}.")
         for name, value in (("first", first), ("last", last)):
             if not 0 <= value <= 1:
                 raise ConfigError(f"{name} is {value}; expected a number in [0, 1].")

@@ -2,13 +2,12 @@
 
 import math
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.math.geometry import norm
+from resc.math.geometry import in_view
 from resc.math.rotation import rotate_inverse
 from resc.quantities import Angle, NotNegative, Number
 from resc.term import Reward
@@ -46,13 +45,8 @@ class FieldOfView(Reward):
         points: Float[Tensor, "n 2 3"],
     ) -> Float[Tensor, "n 1"]:
         first, second = (points - position.unsqueeze(1)).unbind(1)
-        seen = self._sees(rotate_inverse(attitude, first)) | self._sees(
-            rotate_inverse(attitude, second)
+        camera = self.horizontal_rad, self.vertical_rad, self.blind_m
+        seen = in_view(rotate_inverse(attitude, first), *camera) | in_view(
+            rotate_inverse(attitude, second), *camera
         )
         return -(~seen).to(position.dtype)
-
-    def _sees(self, offset_b: Float[Tensor, "n 3"]) -> Tensor:
-        x, y, z = offset_b.unbind(-1)
-        azimuth = torch.atan2(y, x).abs() <= self.horizontal_rad / 2
-        elevation = torch.atan2(z, norm(offset_b[:, :2])[:, 0]).abs() <= self.vertical_rad / 2
-        return ((azimuth & elevation) | (norm(offset_b)[:, 0] < self.blind_m)).unsqueeze(-1)

@@ -1,0 +1,88 @@
+"""Training that begins with the weights of another run."""
+
+import shutil
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from test_ppo import SMALL, weights
+
+from resc.errors import CheckpointError, ConfigError
+from resc.learning.assemble import build_trainer, first_weights, restore
+from resc.learning.checkpoint import save_checkpoint, save_policy
+from resc.run_folder import CHECKPOINT, JOB
+from resc.settings import fingerprint
+
+
+@pytest.fixture
+def trained(compose, tmp_path):
+    """A trainer after two batches, and the folder of its policy."""
+    config = compose(*SMALL, "model.normalization=running")
+    trainer = build_trainer(config)
+    trainer.iterate()
+    trainer.iterate()
+    save_policy(tmp_path / "trained", trainer.networks, trainer.env.stages, config)
+    return trainer, tmp_path / "trained"
+
+
+def begun(compose, folder, *overrides):
+    config = compose(*SMALL, "model.normalization=running", f"init_from={folder}", *overrides)
+    trainer = build_trainer(config)
+    restore(trainer, config, folder.parent / "run")
+    return trainer, config
+
+
+def test_weights_and_normalisation_are_taken_all_else_is_fresh(compose, trained):
+    before, folder = trained
+    after, _ = begun(compose, folder, "seed=7", "reward.time.weight=4.0")
+    assert torch.equal(weights(after), weights(before))
+    assert torch.equal(after.networks.normalization.mean, before.networks.normalization.mean)
+    assert (after.frames, after.iteration) == (0, 0)
+    assert not after.optimizer.state
+    after.iterate()
+    assert not torch.equal(weights(after), weights(before))
+
+
+def test_other_networks_are_refused_with_those_to_take(compose, trained):
+    with pytest.raises(CheckpointError, match=r"not those of this run.*'hidden': \[16\]"):
+        begun(compose, trained[1], "model.hidden=[32]")
+
+
+def test_another_observation_is_refused_by_its_block(compose, trained):
+    with pytest.raises(CheckpointError, match="trained on kgp_esdf"):
+        begun(compose, trained[1], "obstacle_observation=raw_sdf")
+
+
+def test_folder_without_a_policy_is_refused(compose, tmp_path):
+    with pytest.raises(CheckpointError, match=r"holds no policy\.pt"):
+        begun(compose, tmp_path / "nothing")
+
+
+def test_a_run_goes_on_without_the_folder_that_it_began_with(compose, trained, tmp_path):
+    trainer, config = begun(compose, trained[1])
+    trainer.iterate()
+    (tmp_path / "run").mkdir()
+    save_checkpoint(tmp_path / "run" / CHECKPOINT, trainer)
+    shutil.rmtree(trained[1])
+    again = build_trainer(config)
+    restore(again, {**config, "resume": str(tmp_path / "run")}, tmp_path / "run")
+    assert torch.equal(weights(again), weights(trainer))
+    assert again.frames == trainer.frames
+
+
+def test_the_latest_run_is_no_beginning_for_a_sweep(tmp_path):
+    run = tmp_path / "0"
+    run.mkdir()
+    (run / JOB).write_text("{}")
+    with pytest.raises(ConfigError, match="each run of a sweep changes; name the folder"):
+        first_weights("latest", run)
+
+
+def test_runs_from_before_the_setting_keep_their_fingerprint(compose):
+    config = compose(*SMALL)
+    older = config.copy()
+    OmegaConf.set_struct(older, False)
+    older.pop("init_from")
+    assert fingerprint(config) == fingerprint(older)
+    config["init_from"] = "policies/obstacles"
+    assert fingerprint(config) != fingerprint(older)
