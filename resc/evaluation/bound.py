@@ -24,7 +24,15 @@ from resc.console import logged
 from resc.errors import ConfigError, PlanningError
 from resc.evaluation.courses import drawn
 from resc.evaluation.reference_picture import draw_references
-from resc.evaluation.references import Reference, crossings, digest, keep, limits_of, outdone, read_references
+from resc.evaluation.references import (
+    Reference,
+    crossings,
+    digest,
+    keep,
+    limits_of,
+    outdone,
+    read_references,
+)
 from resc.evaluation.suites import Amount, amounts_of, scenes_to_fly
 from resc.evaluation.table import aligned
 from resc.launch import compose_scenes, given, launch_here

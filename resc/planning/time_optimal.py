@@ -42,10 +42,15 @@ SUBPOINTS = 4
 SHARES = np.arange(1, SUBPOINTS + 1) / SUBPOINTS
 SLACK_M = 0.0025
 """Added to the margin: how much nearer a flight may come between those points (chord of an arc)."""
-ROUNDS = (3, 0, 20)
-"""How often the path's corners are rounded for the start of the solver, one try after another."""
+ROUNDS = (3, 300)
+"""How often the path's corners are rounded for the starts of the solver; the better result counts.
+
+Rounded so much that it cuts through obstacles, the path may lead to a faster way between others.
+"""
+OTHER_ROUNDS = (0, 20)
+"""The same for further tries where these fail."""
 STRETCH = 1.1
-"""How much slower a solution is flown that another one starts from: its limits are then no bounds."""
+"""How much slower a solution is flown that another one starts from: it is then within limits."""
 NEAR_M, SHIFT = 1.0, 0.1
 """An obstacle and a point are a pair if the start of the solver comes so near to it, or does so
 within this share of the duration."""
@@ -145,13 +150,13 @@ def solve(
     _require_room(crossing)
     length = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
     task = _Task(crossing, intervals or _intervals(length))
-    for rounds in ROUNDS:
-        start = task.guess(path_m, rounds)
-        smooth = task.best(SMOOTH, [start])
+    for tries in (ROUNDS, *((rounds,) for rounds in OTHER_ROUNDS)):
+        starts = [task.guess(path_m, rounds) for rounds in tries]
+        smooth = task.best(SMOOTH, starts)
         if smooth is None:
             continue
         for weight in FASTEST:
-            fastest = task.best(weight, [smooth, task.slower(smooth), start])
+            fastest = task.best(weight, [smooth, task.slower(smooth)])
             if fastest is not None:
                 smooth = task.best(SMOOTH, [task.slower(fastest)], known=smooth)
                 found = task.trajectory(fastest), task.trajectory(smooth)
@@ -187,7 +192,7 @@ def outside_box(
 def distances(
     points_m: Float[np.ndarray, "p 2"], boxes: Sequence[tuple[float, ...]]
 ) -> Float[np.ndarray, "k p"]:
-    """Distance of each point to the surface of each obstacle of a `Crossing` [m], below 0 inside."""
+    """Distance of points to the surfaces of a crossing's obstacles [m], below 0 inside."""
     found = np.empty((len(boxes), len(points_m)))
     for row, (x, y, *lengths) in zip(found, boxes, strict=True):
         if len(lengths) == 1:
