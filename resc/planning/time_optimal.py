@@ -14,6 +14,7 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import ceil
 from types import ModuleType
 from typing import Any
@@ -50,7 +51,7 @@ Rounded so much that it cuts through obstacles, the path may lead to a faster wa
 OTHER_ROUNDS = (0, 20)
 """The same for further tries where these fail."""
 STRETCH = 1.1
-"""How much slower a solution is flown that another one starts from: it is then within limits."""
+"""How much slower the smooth flight is flown where the fastest is not found from itself."""
 NEAR_M, SHIFT = 1.0, 0.1
 """An obstacle and a point are a pair if the start of the solver comes so near to it, or does so
 within this share of the duration."""
@@ -151,14 +152,12 @@ def solve(
     length = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
     task = _Task(crossing, intervals or _intervals(length))
     for tries in (ROUNDS, *((rounds,) for rounds in OTHER_ROUNDS)):
-        starts = [task.guess(path_m, rounds) for rounds in tries]
-        smooth = task.best(SMOOTH, starts)
+        smooth = task.best(SMOOTH, [task.guess(path_m, rounds) for rounds in tries])
         if smooth is None:
             continue
-        for weight in FASTEST:
-            fastest = task.best(weight, [smooth, task.slower(smooth)])
+        for weight, start in product(FASTEST, (smooth, task.slower(smooth))):
+            fastest = task.solve(weight, start)
             if fastest is not None:
-                smooth = task.best(SMOOTH, [task.slower(fastest)], known=smooth)
                 found = task.trajectory(fastest), task.trajectory(smooth)
                 return Solved(*found, wall_s=time.perf_counter() - began)
     limits = crossing.limits
@@ -279,21 +278,19 @@ class _Task:
         return np.append(unknowns[:-1], STRETCH * unknowns[-1])
 
     def best(
-        self,
-        weight: float,
-        starts: Sequence[Float[np.ndarray, " u"]],
-        known: Float[np.ndarray, " u"] | None = None,
+        self, weight: float, starts: Sequence[Float[np.ndarray, " u"]]
     ) -> Float[np.ndarray, " u"] | None:
-        """The best of what is found from each start, and of what is known; None if nothing is."""
+        """The best of what is found from each start; None if nothing is."""
         solved = [found for start in starts if (found := self.solve(weight, start)) is not None]
-        choice = solved if known is None else [known, *solved]
-        return min(choice, key=lambda each: self.trajectory(each).cost(weight), default=None)
+        return min(solved, key=lambda each: self.trajectory(each).cost(weight), default=None)
 
     def solve(
         self, weight: float, guess: Float[np.ndarray, " u"]
     ) -> Float[np.ndarray, " u"] | None:
         """The unknowns of a local optimum of T + weight E; None if the solver found none."""
-        self._pair(self._clearances(guess) < NEAR_M)
+        near = self._clearances(guess)
+        if self._pairs is None or ((near < NEAR_M / 2) & ~self._pairs).any():
+            self._pair(near < NEAR_M)
         low = np.full(len(guess), -np.inf)
         high = -low
         low[: 3 * self.axes] = high[: 3 * self.axes] = 0.0  # at rest
@@ -349,8 +346,6 @@ class _Task:
         """Adds pairs of obstacle and point, and their neighbours in time, to the programme."""
         wide = 2 * int(SHIFT * wanted.shape[1]) + 1
         wanted = maximum_filter1d(wanted, wide, axis=1, mode="constant") if wanted.size else wanted
-        if self._pairs is not None and not (wanted & ~self._pairs).any():
-            return
         self._pairs = wanted if self._pairs is None else self._pairs | wanted
         ca, reach = self.ca, self.crossing.limits.margin_m + SLACK_M
         points = ca.horzcat(*(self._weighted(weights(share)) for share in SHARES))
