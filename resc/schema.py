@@ -137,6 +137,7 @@ class BoundSchema(RunSchema):
         maps: Maps of each scene that draws them, the first of those of an evaluation.
         flights: As in an evaluation; matters only where there is a map for every flight.
         references: File that keeps them; null is docs/results/references.json.
+        missing: Only maps that have none yet; otherwise the better of old and new is kept.
         seed: Of random scenes, as in an evaluation.
     """
 
@@ -147,6 +148,7 @@ class BoundSchema(RunSchema):
     maps: int | None = None
     flights: int | None = None
     references: str | None = None
+    missing: bool = False
     limits: dict[str, Any] = field(default_factory=dict)
 
 

@@ -4,6 +4,7 @@ python -m resc.evaluation.bound                                  the paper's fou
 python -m resc.evaluation.bound 'scenes=[mine]'                  any scene that knows its goal
 python -m resc.evaluation.bound suite=forest maps=30             the first 30 maps of each density
 python -m resc.evaluation.bound limits.speed_mps=2.0             other limits
+python -m resc.evaluation.bound suite=field missing=true         only maps without a reference
 python -m resc.evaluation.bound 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'
 
 Finds the fastest flight and a smooth one, prints them as a table, draws them, and stores them where
@@ -24,7 +25,15 @@ from resc.console import logged
 from resc.errors import ConfigError, PlanningError
 from resc.evaluation.courses import drawn
 from resc.evaluation.reference_picture import draw_references
-from resc.evaluation.references import Reference, crossings, digest, keep, limits_of
+from resc.evaluation.references import (
+    Reference,
+    crossings,
+    digest,
+    keep,
+    limits_of,
+    outdone,
+    read_references,
+)
 from resc.evaluation.suites import Amount, amounts_of, scenes_to_fly
 from resc.evaluation.table import aligned
 from resc.launch import launch_here
@@ -59,7 +68,10 @@ def main(config: DictConfig, folder: Path) -> None:
     tasks = list(find_tasks(scenes, config, planner, limits))
     with logged(folder / "bound.log"):
         OmegaConf.save(config, folder / "config.yaml")
-        print(bound(tasks, Path(config["references"]) if config["references"] else None, folder))
+        stored = Path(config["references"]) if config["references"] else None
+        if config["missing"]:
+            tasks = missing(tasks, stored)
+        print(bound(tasks, stored, folder))
 
 
 def find_tasks(
@@ -101,20 +113,45 @@ def find_tasks(
         yield from different.values()
 
 
+def missing(tasks: list[Task], stored: Path | None) -> list[Task]:
+    """Those without a stored reference.
+
+    Raises:
+        ConfigError: There are none.
+    """
+    known = read_references(stored) if stored is None or stored.exists() else {}
+    left = [task for task in tasks if digest(task[1]) not in known]
+    if not left:
+        raise ConfigError(
+            f"missing is true, and all {len(tasks)} maps have a reference; ask for more maps, or "
+            "leave it out to look for better ones."
+        )
+    return left
+
+
 def bound(tasks: list[Task], stored: Path | None, folder: Path) -> str:
-    """Solves every task and stores each result at once; the report."""
+    """Solves every task and stores each result at once; the report.
+
+    Raises:
+        PlanningError: Some have no solution; the others are stored and reported.
+    """
     rows: list[list[str]] = [[*HEADER]]
     found: list[Reference] = []
+    failed: list[str] = []
     began = time.perf_counter()
     for name, crossing, path in tasks:
         try:
             solved = solve(crossing, path.points_m)
         except PlanningError as error:
-            raise PlanningError(f"{name}: {error}") from None
+            failed.append(f"{name}: {error}")
+            continue
         reference = Reference(name, crossing, path.length_m, solved.fastest, solved.smooth)
         found.append(keep(reference, stored))
         rows.append([*_cells(found[-1]), f"{solved.wall_s:.1f}"])
-        print(f"{name}: {reference.fastest.duration_s:.2f} s, after {solved.wall_s:.1f} s of work")
+        notes = [f"{reference.fastest.duration_s:.2f} s, after {solved.wall_s:.1f} s of work"]
+        print(f"{name}: " + "; ".join(notes + outdone(reference, found[-1])), flush=True)
+    if not found:
+        raise PlanningError(failed[0])
     draw_references(found, folder / "bound.png")
     report = f"{aligned(rows)}\n{NOTE}"
     (folder / "report.md").write_text(report)
@@ -134,6 +171,9 @@ def bound(tasks: list[Task], stored: Path | None, folder: Path) -> str:
         **provenance(),
     }
     finish_run(folder, figures, "bound")
+    if failed:
+        more = f" (and {len(failed) - 1} more)" if failed[1:] else ""
+        raise PlanningError(f"{failed[0]}{more}; the other {len(found)} are stored.")
     return f"{report}\nreport    {folder / 'report.md'}\npicture   {folder / 'bound.png'}"
 
 

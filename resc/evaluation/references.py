@@ -19,7 +19,7 @@ from torch import Tensor
 
 from resc.build import build
 from resc.errors import ConfigError
-from resc.planning.time_optimal import Crossing, Limits
+from resc.planning.time_optimal import FASTEST, SMOOTH, Crossing, Limits
 from resc.planning.trajectory import Trajectory
 from resc.scenes.layout import Layout
 
@@ -30,6 +30,8 @@ SCENE_DIGITS, CONTROL_DIGITS = 4, 7
 
 Jerk is a third difference of control points times some thousand 1/s^3, so these need the digits.
 """
+WEIGHTS = {"fastest": FASTEST[0], "smooth": SMOOTH}
+"""What each flight pays for a unit of energy [s^6/m^2], by which two of a kind are compared."""
 FORMAT = 1
 
 
@@ -131,23 +133,38 @@ def read_references(path: Path | None = None) -> dict[str, Reference]:
 
 
 def keep(reference: Reference, path: Path | None = None) -> Reference:
-    """Stores a reference beside those that are there, in place of one of the same scene.
+    """Stores a reference beside those that are there; of the same scene, the better of each flight.
 
-    Returns it as stored, that is, rounded.
+    Better is what minimises more: a local optimum found earlier may be the lower one. Returns it as
+    stored, that is, rounded.
     """
     stored = path or STORED
     kept = read_references(stored) if stored.exists() else {}
-    reference = replace(
-        reference, fastest=_rounded(reference.fastest), smooth=_rounded(reference.smooth)
-    )
-    kept[reference.digest] = reference
-    lines = [f'"{name}": {json.dumps(_entry(entry))}' for name, entry in sorted(kept.items())]
+    flights = {name: _rounded(getattr(reference, name)) for name in WEIGHTS}
+    if earlier := kept.get(reference.digest):
+        for name, weight in WEIGHTS.items():
+            pair = (getattr(earlier, name), flights[name])
+            flights[name] = min(pair, key=lambda flight: flight.cost(weight))
+    reference = kept[reference.digest] = replace(reference, **flights)
+    lines = [
+        f'"{name}":{json.dumps(_entry(entry), separators=(",", ":"))}'
+        for name, entry in sorted(kept.items())
+    ]
     text = f'{{"format": {FORMAT}, "references": {{\n' + ",\n".join(lines) + "\n}}\n"
     stored.parent.mkdir(parents=True, exist_ok=True)
     temporary = stored.with_suffix(".tmp")
     temporary.write_text(text)
     temporary.replace(stored)
     return reference
+
+
+def outdone(found: Reference, stored: Reference) -> list[str]:
+    """The flights of a reference that are worse than what is stored, in words."""
+    return [
+        f"{name} of before kept, {was.duration_s:.2f} s and energy {was.energy_m2ps5:.0f}"
+        for name, weight in WEIGHTS.items()
+        if (was := getattr(stored, name)).cost(weight) < _rounded(getattr(found, name)).cost(weight)
+    ]
 
 
 def _entry(reference: Reference) -> dict[str, Any]:

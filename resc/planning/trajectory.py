@@ -48,6 +48,10 @@ class Trajectory:
         """Integral of squared jerk."""
         return float((self.jerk_mps3**2).sum() * self.duration_s / self.intervals)
 
+    def cost(self, weight: float) -> float:
+        """What a reference minimises: duration [s] + weight [s^6/m^2] * energy."""
+        return self.duration_s + weight * self.energy_m2ps5
+
     def line(self, points: int = 200) -> Float[np.ndarray, "_ 2"]:
         """The way from above, as a polyline [m]."""
         return self.at(np.linspace(0, self.duration_s, points))[0][:, :2]

@@ -1,6 +1,6 @@
 """One fixed map with a start and a goal."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 
@@ -8,6 +8,7 @@ from resc.errors import ConfigError
 from resc.math.sampling import uniform
 from resc.quantities import NotNegative, Number, Positive
 from resc.scenes.layout import NO_PILLAR, Layout
+from resc.scenes.occupancy import Box, occupancy_boxes
 
 
 class NamedScene:
@@ -21,19 +22,26 @@ class NamedScene:
         size_m: Extent of the map in x and y.
         jitter_m: Greatest offset of the start along each axis.
         pillars: `[x, y, radius]` of round ones [m].
+        occupancy: A grid of occupied cells, obstacles beside the others: rows of text, the greatest
+            y first, `#` occupied and `.` free, or the path of a .npy file of Booleans.
+        cell_m: Edge of its cells; needed with a grid.
+        corner_m: Its lower-left corner; that of the map if not given.
         difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
         self,
         *,
-        boxes: Sequence[Sequence[Number]],
+        boxes: Sequence[Sequence[Number]] = (),
         start_m: Sequence[Number],
         goal_m: Sequence[Number],
         origin_m: Sequence[Number],
         size_m: Sequence[Positive],
         jitter_m: NotNegative = 0.0,
         pillars: Sequence[Sequence[Number]] = (),
+        occupancy: Sequence[str] | str | None = None,
+        cell_m: Positive | None = None,
+        corner_m: Sequence[Number] | None = None,
         difficulty: str | None = None,
     ) -> None:
         for number, box in enumerate(boxes):
@@ -64,6 +72,15 @@ class NamedScene:
                     f"{name} is {list(point)}, outside the map from {list(origin_m)}, "
                     f"{list(size_m)} m large; move it inside."
                 )
+        corner = origin_m if corner_m is None else corner_m
+        if len(corner) != 2:
+            raise ConfigError(f"corner_m is {list(corner)}; expected 2 numbers.")
+        boxes = [tuple(box) for box in boxes]
+        if occupancy is not None:
+            boxes += _grid(occupancy, cell_m, corner, {"start_m": start_m, "goal_m": goal_m})
+        elif cell_m is not None or corner_m is not None:
+            name = "cell_m" if cell_m is not None else "corner_m"
+            raise ConfigError(f"{name} is of a grid, and there is none; give occupancy, too.")
         if jitter_m < 0:
             raise ConfigError(f"jitter_m is {jitter_m}; expected zero or more.")
         self.boxes = torch.tensor([list(box) for box in boxes], dtype=torch.float32).reshape(-1, 4)
@@ -89,3 +106,23 @@ class NamedScene:
             route_w=self.goal_m.expand(count, 1, -1),
             route_length=torch.zeros(count, 1, dtype=torch.int64),
         )
+
+
+def _grid(
+    occupancy: Sequence[str] | str,
+    cell_m: Positive | None,
+    corner_m: Sequence[Number],
+    ends: Mapping[str, Sequence[Number]],
+) -> list[Box]:
+    """The boxes of a grid in which no end lies."""
+    if cell_m is None:
+        raise ConfigError("cell_m is missing; give the edge of a cell of occupancy in metres.")
+    boxes = occupancy_boxes(occupancy, cell_m, corner_m)
+    for name, (x, y, *_) in ends.items():
+        for left, low, wide, deep in boxes:
+            if left <= x <= left + wide and low <= y <= low + deep:
+                raise ConfigError(
+                    f"{name} is [{x:g}, {y:g}], inside an occupied cell of occupancy; move it to a "
+                    "free one."
+                )
+    return boxes
