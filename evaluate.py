@@ -18,11 +18,12 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
+from resc.composed import compose_scenes
 from resc.console import logged
 from resc.evaluation.campaign import evaluate
 from resc.evaluation.replay import replay
 from resc.evaluation.suites import scenes_to_fly
-from resc.launch import answering, compose_scenes, launch, refuse_doubles
+from resc.launch import answering, launch, refuse_doubles
 from resc.learning.checkpoint import load_policy, policy_folder
 from resc.process import prepare_process
 from resc.run_folder import claimed

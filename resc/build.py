@@ -20,11 +20,12 @@ from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError, RescError, nearest, shown
 from resc.maps.cells import require_room
 from resc.math.sampling import generator_for
-from resc.quantities import checked
+from resc.quantities import NotNegative, checked
 from resc.scenes.layout import PARKED_M, Layout, Scene
 from resc.scenes.pool import ScenePool
 from resc.term import CellSize, Curriculum, Observation, Reward, Term
 from resc.terms.randomizations.action_delay import ActionDelay
+from resc.terms.randomizations.limits import Margin
 
 ALLOWED = ("resc.", "torch.optim.")
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
@@ -223,8 +224,10 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
     )
     if not terms.rewards or not terms.observations or not terms.terminations:
         raise ConfigError("reward, observation and termination need at least one term each.")
+    scene = config.get("scene") or {}
     _check_delays(terms)
-    return Stages(terms, context, (config.get("scene") or {}).get("difficulty"))
+    _check_margins(terms, scene.get("clearance_m"))
+    return Stages(terms, context, scene.get("difficulty"))
 
 
 def build_pool(
@@ -333,6 +336,27 @@ def _check_delays(terms: Terms) -> None:
             raise ConfigError(
                 f"randomization.{term.name}.longest_steps is {term.longest_steps}, but the "
                 f"action's queue holds {held}; raise action.longest_delay_steps."
+            )
+
+
+def _check_margins(terms: Terms, clearance_m: Any) -> None:
+    """Margins that follow the scene's routes and are said to be others would be cut, or never met.
+
+    Equal ends fix the margin whatever the routes keep.
+    """
+    if clearance_m is None:
+        return
+    kept = checked("scene.clearance_m", _plain(clearance_m), Sequence[NotNegative])
+    for term in terms.randomizations:
+        if not isinstance(term, Margin) or len(set(term.margin_m)) == 1:
+            continue
+        met = [round(end - term.headroom_m, 6) for end in kept]
+        if met != [round(end, 6) for end in term.margin_m]:
+            raise ConfigError(
+                f"randomization.{term.name}.margin_m is {list(term.margin_m)}, but routes keep "
+                f"scene.clearance_m={kept}, less {term.headroom_m:g} m of headroom "
+                f"{met}; set scene.clearance_m="
+                f"{[round(end + term.headroom_m, 6) for end in term.margin_m]}."
             )
 
 

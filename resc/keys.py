@@ -80,6 +80,16 @@ ACTION_DELAY = _declare(
     ("params", "action_delay"), (1,), "steps", "age of the action that is applied"
 )
 
+SPEED_LIMIT = _declare(
+    ("limits", "speed"), (1,), "m/s", "greatest speed asked of the episode, where one is drawn"
+)
+MARGIN = _declare(
+    ("limits", "margin"),
+    (1,),
+    "m",
+    "least distance to obstacles asked of the episode, where one is drawn",
+)
+
 CLOCK = _declare(("clock", "step"), (1,), "steps", "control steps since the reset")
 SCENE_INDEX = _declare(("scene", "index"), (1,), "-", "entry of the scene pool", torch.int64)
 
@@ -89,6 +99,12 @@ START_MOTION = _declare(
     (2,),
     "m/s, rad",
     "greatest speed, and angle to the route, that the scene lets an episode begin with",
+)
+ROUTE_CLEARANCE = _declare(
+    ("task", "clearance"),
+    (1,),
+    "m",
+    "what the route keeps from obstacles; infinite where the scene does not say",
 )
 ROUTE_W = _declare(("task", "route_w"), ("k", 3), "m", "all control points, padded with the last")
 ROUTE_LENGTH = _declare(

@@ -7,27 +7,24 @@ import re
 import signal
 import sys
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra import main as hydra_main
-from hydra._internal.config_repository import ConfigRepository
-from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
 from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import QuotedString
 from hydra.errors import HydraException
-from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from resc.build import nearest
 from resc.command_line import override, shell
+from resc.composed import files_of_lists
 from resc.errors import ConfigError, RescError
 from resc.origin import CHANGEABLE, MULTIRUN, OF_ITS_FOLDER, is_among, key_of, return_to
 from resc.run_folder import CONFIG, LATEST, ORIGIN, claimed, latest, sweep_of
@@ -263,15 +260,8 @@ def refuse_doubles() -> None:
     Raises:
         ConfigError: The term and the files that define it.
     """
-    hydra = HydraConfig.get()
-    overrides = [*hydra.overrides.hydra, *hydra.overrides.task]
-    loader = GlobalHydra.instance().config_loader()
-    listed = loader.compute_defaults_list(hydra.job.config_name, overrides, RunMode.RUN)
-    files = files_of_run()
     defined: dict[str, str] = {}
-    for path, package in ((d.config_path, d.package) for d in listed.defaults):
-        loaded = files.load_config(path) if path and package in LISTS else None
-        content = cast(DictConfig, loaded.config) if loaded else {}
+    for path, package, content in files_of_lists(LISTS):
         for name, node in content.items():
             if not isinstance(node, DictConfig) or "_target_" not in node:
                 continue
@@ -280,43 +270,7 @@ def refuse_doubles() -> None:
                 both = dict.fromkeys((defined[term], path))
                 source = " and ".join(both) if len(both) > 1 else f"{path}, listed twice"
                 raise ConfigError(f"{term} is defined by {source}; keep one, or rename the other.")
-            defined[term] = str(path)
-
-
-def files_of_run() -> ConfigRepository:
-    """The files of configuration that the run is composed from, hydra.searchpath included."""
-    search = ConfigSearchPathImpl()
-    for source in HydraConfig.get().runtime.config_sources:
-        search.append(source.provider, f"{source.schema}://{source.path}")
-    return ConfigRepository(search)
-
-
-def given() -> list[str]:
-    """The overrides of the command, as they were typed."""
-    return [str(text) for text in HydraConfig.get().overrides.task]
-
-
-def compose_scenes(config: DictConfig, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The scenes of these names with the numbers of `scene` in place of their own.
-
-    Raises:
-        ConfigError: A scene is unknown or named twice.
-    """
-    known = files_of_run().get_group_options("scene")
-    hydra_config = HydraConfig.get()
-    search = [text for text in hydra_config.overrides.hydra if "searchpath" in text]
-    scenes = {}
-    for name, times in Counter(names).items():
-        if name not in known:
-            raise ConfigError(f"Unknown scene '{name}'.{nearest(name, known)}")
-        if times > 1:
-            raise ConfigError(f"scenes names '{name}' {times} times; raise flights instead.")
-        node = compose(hydra_config.job.config_name, [*search, f"+scene={name}"])["scene"]
-        scenes[name] = {
-            **cast(dict[str, Any], OmegaConf.to_container(node, resolve=True)),
-            **cast(dict[str, Any], OmegaConf.to_container(config["scene"], resolve=True)),
-        }
-    return scenes
+            defined[term] = path
 
 
 def explain(error: Exception, config_name: str) -> str:

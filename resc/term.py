@@ -57,13 +57,14 @@ class Term(TensorDictModuleBase):
     `writes = ()` means one key named by the configuration, `(group, name)`. Terms hold constants
     only; what must survive a step is written under a key with an `initial` value. `draws` uniform
     numbers per reset environment reach `compute` as its last argument when `draws > 0`. Its keys
-    stand under `group`, its configuration under `section` where that is another.
+    stand under `group`, its configuration under `section` where that is another. A term whose
+    number may be the episode's own, where it is configured as null, adds its key to `reads`.
 
     A term that `eases` can be made easier: with `difficulty: name` in its configuration, the
     difficulty of that name, [n, 1] in [0, 1], follows all other arguments of `compute`.
     """
 
-    reads: ClassVar[tuple[NestedKey, ...]] = ()
+    reads: tuple[NestedKey, ...] = ()
     writes: ClassVar[tuple[NestedKey, ...]] = ()
     initial: Mapping[NestedKey, float] = {}
     group: ClassVar[str] = ""
@@ -264,7 +265,7 @@ class Termination(Term):
 
 
 class Randomization(Term):
-    """Draws physical parameters anew at every reset: reads nominal values, writes drawn ones."""
+    """Draws numbers anew at every reset: reads nominal values, if there are, writes drawn ones."""
 
     group = "params"
     section = "randomization"

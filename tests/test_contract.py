@@ -113,7 +113,7 @@ def flight(make_env):
     world = {key: env.value_of(key) for key in stages.persistent}
     tensors = {**env.pool.shared, **world, ACTION: torch.rand(COUNT, 4, generator=generator) - 0.5}
     tensors |= {key: world[key[1:]].clone() for key in stages.memory}
-    for key in (("task", "start_w"), ("task", "start_motion")):
+    for key in (("task", "start_w"), ("task", "start_motion"), ("task", "clearance")):
         tensors[key] = env.pool.tasks[key][world[("scene", "index")][:, 0]]
     for term in (
         terms.action,

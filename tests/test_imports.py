@@ -22,11 +22,11 @@ FLOORS = (
     {"simulation", "maps", "scenes", "terms"},
     {"envs", "planning", "build", "schema", "settings"},
     {"learning", "evaluation", "recording", "baselines", "deployment"},
-    {"jobs", "origin", "launch", "sweeps"},
+    {"jobs", "origin", "composed", "launch", "sweeps"},
 )
-SCRIPTS = {"evaluation/bound.py"}
+SCRIPTS = {"evaluation/bound.py", "evaluation/scores.py"}
 """Run by `python -m` and imported by nothing: they stand where train.py does."""
-HYDRA_ROOMS = {"build", "schema", "launch"}
+HYDRA_ROOMS = {"build", "schema", "composed", "launch"}
 FILES = sorted(
     path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE or path.name != "__init__.py"
 )

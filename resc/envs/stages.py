@@ -250,11 +250,12 @@ class Stages(nn.Module):
             keys.CONTROL_POINTS_W,
             keys.FINISHED,
         ]
+        drawn = [key for term in self.terms.randomizations for key in term.outputs]
         kept = [key for term in self.terms for key in term.initial]
         metrics = [term.outputs[0] for term in self.terms.metrics]
         seen = [t.outputs[0] for t in self.terms.observations if t.width > len(t.columns)]
         eased = [keys.difficulty(name) for name in self.difficulties]
-        kept = list(dict.fromkeys(kept))
+        kept = list(dict.fromkeys([*(key for key in drawn if key not in state), *kept]))
         return [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *kept, *metrics, *seen, *eased]
 
     def _finish(self, tensors: World) -> None:
@@ -308,7 +309,8 @@ class Stages(nn.Module):
         kept = set(self.persistent)
         past = {key for key in self.memory if key[1:] in kept}
         shared = {key for key, declared in DECLARED.items() if declared.shared}
-        at_reset = shared | kept | past | {keys.START_W, keys.START_MOTION, keys.CLOCK}
+        of_scene = {keys.START_W, keys.START_MOTION, keys.ROUTE_CLEARANCE}
+        at_reset = shared | kept | past | of_scene | {keys.CLOCK}
         known = at_reset | {keys.ACTION}
         for term in self.terms:
             if isinstance(term, Reward):

@@ -20,6 +20,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
+from resc.composed import compose_scenes, given
 from resc.console import logged
 from resc.errors import ConfigError, PlanningError
 from resc.evaluation.courses import drawn
@@ -35,7 +36,7 @@ from resc.evaluation.references import (
 )
 from resc.evaluation.suites import Amount, amounts_of, scenes_to_fly
 from resc.evaluation.table import aligned
-from resc.launch import compose_scenes, given, launch_here
+from resc.launch import launch_here
 from resc.planning.route import RoutePlanner, planner_for
 from resc.planning.time_optimal import Crossing, Limits, solve, solver
 from resc.planning.visibility_search import PlannedPath

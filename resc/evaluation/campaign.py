@@ -1,5 +1,7 @@
 """An evaluation from beginning to end: lay out, plan, fly, report."""
 
+import hashlib
+import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,11 +10,13 @@ from typing import Any, cast
 from omegaconf import OmegaConf
 
 from resc.errors import ConfigError, RecordingError
+from resc.evaluation.commanded import commanded, commanded_scenes
 from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.flights import Flights, fly_recorded
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
 from resc.evaluation.references import (
+    STORED,
     Reference,
     References,
     crossings,
@@ -22,16 +26,18 @@ from resc.evaluation.references import (
 )
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import build_flying_env, settings_for
-from resc.evaluation.statistics import join, report_scenes, tabulate
+from resc.evaluation.statistics import asked, join, report_scenes, tabulate
 from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
 from resc.learning.checkpoint import Policy
 from resc.planning.route import planner_for
 from resc.planning.time_optimal import Limits
 from resc.recording.rollouts import provenance
-from resc.run_folder import finish_run
+from resc.run_folder import POLICY, finish_run
 
 ROLLOUTS, SCENES = "rollouts", "scenes"
+NO_MATTER = ("name", "threads", "policy")
+"""Settings by which no number of an evaluation changes; of the policy, its weights do."""
 Settings = Mapping[str, Any]
 
 
@@ -51,7 +57,7 @@ def evaluate(
     Raises:
         PlanningError: A flight has no path.
         CheckpointError: The policy expects another observation than its configuration describes.
-        ConfigError: A number is out of range.
+        ConfigError: A number is out of range, or limits are asked that the policy does not know.
     """
     began = time.perf_counter()
     if config["scene_files"] < 0:
@@ -59,6 +65,8 @@ def evaluate(
     limits = limits_of(config)
     references = read_references(Path(config["references"]) if config["references"] else None)
     stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
+    scenes = commanded_scenes(scenes, config, stored, limits)
+    config = commanded(config, stored, limits, overrides)
     planner = planner_for({**config, "env": {**stored["env"], **(config["env"] or {})}})
     allowed = config["allowed_targets"]
     amounts = amounts_of(config, list(scenes))
@@ -72,6 +80,7 @@ def evaluate(
     tables = [
         tabulate(c, flown[c.name], measured_by[c.name], arrival[c.own_routes]) for c in courses
     ]
+    tables = [{**table, **asked(limits, len(table["scene"]))} for table in tables]
     reports = report_scenes(tables, [course.redrawn for course in courses])
     pictured = []
     for course, report in zip(courses, reports, strict=False):
@@ -83,7 +92,7 @@ def evaluate(
     draw_overview(pictured, folder / "flights.png")
     write_scenes(reports, folder / "scenes.csv")
     write_flights(join(tables), folder / "flights.csv")
-    text = f"{markdown(reports)}\n{failures(reports)}".rstrip() + "\n"
+    text = f"{markdown(reports, limits)}\n{failures(reports)}".rstrip() + "\n"
     (folder / "report.md").write_text(f"# {config['policy']}\n\n{text}")
     told = _write_scenes(config, courses, folder)
     frames = sum(flights.frames for flights in flown.values())
@@ -94,11 +103,30 @@ def evaluate(
         "frames_per_s": frames / sum(flying_s),
         **summary(reports),
         "policy": str(_near(Path(config["policy"]).resolve())),
+        "fingerprint": fingerprint(config, scenes),
         "seed": config["seed"],
         **provenance(),
     }
     finish_run(folder, figures, "evaluation")
     return f"{text}\n{_left_in(folder, told)}"
+
+
+def fingerprint(config: Settings, scenes: Mapping[str, Settings]) -> str:
+    """SHA-256 of all that an evaluation flies and is measured by, but for the code.
+
+    Settings, scenes, the policy's weights and the stored references: the same evaluation, whoever
+    asks for it.
+    """
+    plain = OmegaConf.to_container(OmegaConf.create(dict(config)), resolve=True)
+    made = {
+        key: value for key, value in cast(dict[str, Any], plain).items() if key not in NO_MATTER
+    }
+    made["scenes_flown"] = {name: dict(node) for name, node in scenes.items()}
+    text = json.dumps(made, sort_keys=True, default=str).encode()
+    files = [Path(config["policy"]) / POLICY, Path(config["references"] or STORED)]
+    return hashlib.sha256(
+        b"".join([text, *(path.read_bytes() if path.is_file() else b"" for path in files)])
+    ).hexdigest()
 
 
 def radius_of(settings: Settings) -> float:

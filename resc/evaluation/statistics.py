@@ -11,12 +11,13 @@ from jaxtyping import Bool, Float, Int
 from resc.evaluation.courses import Course
 from resc.evaluation.flights import Flights
 from resc.evaluation.references import Reference
+from resc.planning.time_optimal import Limits
 
 Z_95 = 1.959964
 """Two-sided 95 % quantile of the normal distribution."""
 
 CLOSE_M = 0.3
-"""Radius by which the paper inflates obstacles: what training and planners keep clear of."""
+"""Radius by which the paper inflates obstacles: the margin of a table that does not say its own."""
 
 Columns = Mapping[str, np.ndarray]
 
@@ -93,6 +94,14 @@ def tabulate(
     }
 
 
+def asked(limits: Limits, count: int) -> dict[str, np.ndarray]:
+    """The limits that are asked of so many flights, for a table."""
+    return {
+        "speed_limit": np.full(count, limits.speed_mps),
+        "margin": np.full(count, limits.margin_m),
+    }
+
+
 def success_by_length(
     success: Bool[np.ndarray, " n"],
     flown_m: Float[np.ndarray, " n"],
@@ -155,7 +164,7 @@ def summarise(name: str, table: Columns, redrawn: int | None = None) -> SceneRep
         success_high=high,
         spl=float(of("spl").mean()),
         collision_rate=float(table["collided"].mean()),
-        close_rate=float((of("least_clearance") < CLOSE_M).mean()),
+        close_rate=float((of("least_clearance") < table.get("margin", CLOSE_M)).mean()),
         outcomes=dict(Counter(table["outcome"].tolist()).most_common()),
         time_span_s=median(of("time_within_half_metre")[arrived]),
         time_within_fifth_s=median(of("time_within_fifth_metre")[arrived]),

@@ -11,6 +11,7 @@ import numpy as np
 
 from resc.evaluation.published import PLANNERS, PUBLISHED
 from resc.evaluation.statistics import SceneReport
+from resc.planning.time_optimal import Limits
 
 ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("flights", lambda r: str(r.episodes)),
@@ -18,7 +19,7 @@ ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("  95 % interval", lambda r: f"{_percent(r.success_low)}-{_percent(r.success_high)}"),
     ("SPL", lambda r: _number(r.spl, 3)),
     ("collisions [%]", lambda r: _percent(r.collision_rate)),
-    ("closer than 0.3 m [%]", lambda r: _percent(r.close_rate)),
+    ("closer than {margin:g} m [%]", lambda r: _percent(r.close_rate)),
     ("time to 0.5 m [s]", lambda r: _number(r.time_span_s, 2)),
     ("time to 0.2 m [s]", lambda r: _number(r.time_within_fifth_s, 2)),
     ("path flown [m]", lambda r: _number(r.path_length_m, 2)),
@@ -39,24 +40,26 @@ OF_MAPS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
 """Rows that are there only with scenes that draw maps."""
 PER_SCENE = ("time to", "path", "energy to")
 """Beginnings of the rows that mean nothing over several scenes."""
+NOMINAL = Limits(speed_mps=3.0, acceleration_mps2=6.0, jerk_mps3=20.0, margin_m=0.3)
+"""As in conf/limits/point_mass.yaml."""
 FOOTNOTES = """\
 Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half
 height is entered. SPL: success weighted by path length, the mean of shortest / max(flown, shortest)
 over all flights, 0 for one that does not arrive; the shortest path is the planned one, up to where
-a flight arrives. Collision: the centre of mass touches an obstacle. Closer than 0.3 m: what the
-paper inflates obstacles by was entered, with or without a collision. Flights start at rest, within
-the jitter of the scene's start; scenes that bring their own routes (training, free) are flown under
-the rules of the training instead. Times, lengths and energy are medians over the flights that
-arrive: time from the start to the first step within 0.5 m (0.2 m) of the goal, path and energy up
-to the success. A flight that never comes within 0.2 m counts as endless there; `-` is an endless
-median, or none. Energy is the integral of squared jerk; jerk is the change of the mean acceleration
-from one control step to the next. Bound: the time of the fastest flight found for a point mass from
-the scene's start, without jitter, within the limits of `limits`; smooth reference: the flight that
-pays a millisecond for a unit of energy. Both are local optima, stored by
-`python -m resc.evaluation.bound`; the ratios are medians over the flights that arrive and have
-one, `-` without. Clearance (centre of mass to obstacle surface), speed,
-acceleration and limits are over all flights; a step is over a limit above 3 m/s, 6 m/s^2 or
-37.5 deg of roll or pitch.
+a flight arrives. Collision: the centre of mass touches an obstacle. Closer than {margin:g} m: the
+margin was entered, with or without a collision; the paper inflates obstacles by 0.3 m. Flights
+start at rest, within the jitter of the scene's start; scenes that bring their own routes (training,
+free) are flown under the rules of the training instead. Times, lengths and energy are medians over
+the flights that arrive: time from the start to the first step within 0.5 m (0.2 m) of the goal,
+path and energy up to the success. A flight that never comes within 0.2 m counts as endless there;
+`-` is an endless median, or none. Energy is the integral of squared jerk; jerk is the change of the
+mean acceleration from one control step to the next. Bound: the time of the fastest flight found for
+a point mass from the scene's start, without jitter, within the limits of `limits`; smooth
+reference: the flight that pays a millisecond for a unit of energy. Both are local optima, stored by
+`python -m resc.evaluation.bound`; the ratios are medians over the flights that arrive and have one,
+`-` without. Clearance (centre of mass to obstacle surface), speed, acceleration and limits are over
+all flights; a step is over a limit above {speed:g} m/s, {acceleration:g} m/s^2 or 37.5 deg of roll
+or pitch.
 """
 MAPS_NOTE = """\
 Maps without a route from start to goal at the clearance of the search are drawn again, no others.
@@ -71,21 +74,31 @@ orders of magnitude.
 """
 
 
-def markdown(reports: Sequence[SceneReport]) -> str:
+def markdown(reports: Sequence[SceneReport], limits: Limits = NOMINAL) -> str:
     """The report as a Markdown table, a column per scene, followed by what its rows mean."""
+    numbers = {
+        "margin": limits.margin_m,
+        "speed": limits.speed_mps,
+        "acceleration": limits.acceleration_mps2,
+    }
     rows = [["", *(report.name for report in reports)]]
     drawn = any(report.redrawn is not None for report in reports)
     shown = (*ROWS[:1], *OF_MAPS, *ROWS[1:]) if drawn else ROWS
     for label, cell in shown:
         blank = label.startswith(PER_SCENE)
-        rows.append([label, *("" if blank and r.name == "all" else cell(r) for r in reports)])
+        rows.append(
+            [
+                label.format(**numbers),
+                *("" if blank and r.name == "all" else cell(r) for r in reports),
+            ]
+        )
     compared = any(report.name in PUBLISHED for report in reports)
     if compared:
         rows += [
             [f"{planner}, published", *(_published(r, planner) for r in reports)]
             for planner in PLANNERS
         ]
-    text = f"{aligned(rows)}\n{FOOTNOTES}{MAPS_NOTE if drawn else ''}"
+    text = f"{aligned(rows)}\n{FOOTNOTES.format(**numbers)}{MAPS_NOTE if drawn else ''}"
     return f"{text}\n{PUBLISHED_NOTE}" if compared else text
 
 

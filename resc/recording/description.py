@@ -78,6 +78,7 @@ WORLD_KEYS = (
     keys.START_MOTION,
     keys.ROUTE_W,
     keys.ROUTE_LENGTH,
+    keys.ROUTE_CLEARANCE,
     keys.SCENE_DIFFICULTY,
 )
 START_KEYS = (

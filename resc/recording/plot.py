@@ -64,7 +64,7 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
     with mpl.rc_context({"font.size": 9, "font.family": "DejaVu Sans"}):
         figure = Figure(figsize=(13, 8.5), layout="constrained")
         grid = figure.add_gridspec(10, 2, width_ratios=(1, 1))
-        scene, inflation = log.scene(episode), inflation_m(log)
+        scene, inflation = log.scene(episode), inflation_m(log, episode)
         _draw_map(figure, figure.add_subplot(grid[:7, 0]), scene, steps, inflation)
         _draw_rewards(figure.add_subplot(grid[7:, 0]), time, log, steps)
         right = [figure.add_subplot(grid[2 * i : 2 * i + 2, 1]) for i in range(5)]
@@ -105,14 +105,19 @@ def rate_command(log: RolloutLog, episode: int, steps: TensorDict) -> Float[np.n
     return (actions[:, :3].clamp(-1, 1) * torch.tensor(limit)).numpy()
 
 
-def inflation_m(log: RolloutLog) -> float:
-    """How close to an obstacle [m] a flight of this configuration ends as a collision."""
+def inflation_m(log: RolloutLog, episode: int) -> float:
+    """Distance to obstacles [m] at which an episode collides: its own margin, if it has one."""
     terms = nodes_in(log.config, "termination") if "termination" in log.config else {}
     ending = [name for name, term in terms.items() if term["_target_"] in _COLLISIONS]
-    return max(
-        (numbers_at(log.config, f"termination.{name}.radius_m", 1)[0] for name in ending),
-        default=0.0,
-    )
+    own = [name for name in ending if terms[name].get("radius_m", 0.0) is None]
+    radii = [
+        numbers_at(log.config, f"termination.{name}.radius_m", 1)[0]
+        for name in ending
+        if name not in own
+    ]
+    if own:
+        radii.append(float(_tensor(log.start(episode), keys.MARGIN)))
+    return max(radii, default=0.0)
 
 
 def _tensor(values: TensorDict, key: keys.NestedKey) -> Tensor:

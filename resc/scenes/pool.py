@@ -26,6 +26,7 @@ LAID_OUT = (
     keys.START_MOTION,
     keys.ROUTE_W,
     keys.ROUTE_LENGTH,
+    keys.ROUTE_CLEARANCE,
 )
 """What the pool keeps of a layout, under the names of its fields."""
 CHUNK = 32
@@ -93,6 +94,7 @@ class ScenePool:
             keys.START_MOTION: self.layout.start_motion.clone().to(device),
             keys.ROUTE_W: self.layout.route_w.clone().to(device),
             keys.ROUTE_LENGTH: self.layout.route_length.clone().to(device),
+            keys.ROUTE_CLEARANCE: _clearance(self.layout).clone().to(device),
             keys.SCENE_DIFFICULTY: self._difficulty(torch.arange(size)).to(device),
         }
 
@@ -159,6 +161,7 @@ class ScenePool:
             )
         rows = entries.to(self.shared[keys.ESDF].device)
         fresh = {key: getattr(layout, key[1]) for key in LAID_OUT}
+        fresh[keys.ROUTE_CLEARANCE] = _clearance(layout)
         fresh[keys.ESDF] = self._transform(layout)
         for key, value in fresh.items():
             where = self.shared if key in self.shared else self.tasks
@@ -208,6 +211,11 @@ class ScenePool:
 def layout_from(arrays: Mapping[str, Any]) -> Layout:
     """The scenes that a checkpoint or a recording holds; older ones lack what came later."""
     return Layout(**{key[1]: arrays[key[1]] for key in LAID_OUT if key[1] in arrays})
+
+
+def _clearance(layout: Layout) -> Float[Tensor, "p 1"]:
+    """What the routes keep [m]; infinite, which equals itself, where the layout does not say."""
+    return layout.clearance.where(~layout.clearance.isnan(), torch.inf)
 
 
 def _pick(entries: Int[Tensor, " o"], unit: Float[Tensor, " k"]) -> Int[Tensor, " k"]:

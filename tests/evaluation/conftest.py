@@ -69,10 +69,20 @@ def stored(compose: Callable[..., DictConfig]) -> DictConfig:
 
 
 @pytest.fixture(scope="session")
-def policy(stored: DictConfig) -> Policy:
+def policy_for() -> Callable[[DictConfig], Policy]:
+    """`policy_for(config)`: the pilot as a policy that was trained with a configuration."""
+
+    def make(config: DictConfig) -> Policy:
+        layout = tuple(layout_of(build_stages(config)))
+        return Policy(Pilot(layout), layout, config)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def policy(policy_for: Callable[[DictConfig], Policy], stored: DictConfig) -> Policy:
     """The pilot as a policy."""
-    layout = tuple(layout_of(build_stages(stored)))
-    return Policy(Pilot(layout), layout, stored)
+    return policy_for(stored)
 
 
 @pytest.fixture(scope="session")

@@ -295,7 +295,7 @@ def test_schema_of_a_recording_names_its_reward_terms(run, call):
 def test_the_picture_shows_where_a_flight_counts_as_a_collision(street, tmp_path):
     from resc.recording.plot import _draw_obstacles, inflation_m
 
-    assert inflation_m(street) == 0.3
+    assert inflation_m(street, 0) == 0.3
     axes = Figure().add_subplot()
     boxes = torch.tensor([[3.0, 0.5, 0.4, 1.0], [0.0, 0.0, 0.0, 0.0]])
     _draw_obstacles(axes, {"boxes_w": boxes}, 0.3)

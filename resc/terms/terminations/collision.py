@@ -10,15 +10,25 @@ from resc.term import Termination
 
 
 class Collision(Termination):
-    """The distance field at the vehicle falls below `radius_m` (facts 6.1)."""
+    """The distance field at the vehicle falls below `radius_m` (facts 6.1).
+
+    Args:
+        radius_m: What is kept clear; null for the episode's own margin, which
+            `randomization.margin` draws.
+    """
 
     reads = (keys.CLEARANCE,)
 
-    def __init__(self, *, radius_m: MapDistance = 0.3) -> None:
+    def __init__(self, *, radius_m: MapDistance | None = 0.3) -> None:
         super().__init__()
-        if radius_m <= 0:
+        if radius_m is None:
+            self.reads = (*self.reads, keys.MARGIN)
+        elif radius_m <= 0:
             raise ConfigError(f"radius_m is {radius_m}; expected a number above zero.")
         self.radius_m = radius_m
 
-    def compute(self, clearance: Float[Tensor, "n 1"]) -> Bool[Tensor, "n 1"]:
-        return clearance < self.radius_m
+    def compute(
+        self, clearance: Float[Tensor, "n 1"], *own: Float[Tensor, "n 1"]
+    ) -> Bool[Tensor, "n 1"]:
+        (radius,) = own if self.radius_m is None else (self.radius_m,)
+        return clearance < radius

@@ -1,0 +1,70 @@
+"""The dial: how fast and how near to obstacles an episode may be flown."""
+
+from collections.abc import Sequence
+
+from jaxtyping import Float
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.maps.constants import MapDistance
+from resc.quantities import NotNegative, Positive
+from resc.term import Randomization, uniform_between
+
+
+class SpeedLimit(Randomization):
+    """The speed [m/s] that an episode may reach, uniform between two ends; equal ends fix it.
+
+    Terms with `speed_mps: null` keep to it.
+
+    Args:
+        speed_mps: Least and greatest.
+    """
+
+    writes = (keys.SPEED_LIMIT,)
+    reads = (keys.START_W,)
+    draws = 1
+
+    def __init__(self, *, speed_mps: Sequence[Positive]) -> None:
+        super().__init__()
+        self.speed_mps = _range("speed_mps", speed_mps)
+
+    def compute(
+        self, start: Float[Tensor, "n 3"], unit: Float[Tensor, "n 1"]
+    ) -> Float[Tensor, "n 1"]:
+        return uniform_between(unit, *self.speed_mps)
+
+
+class Margin(Randomization):
+    """The distance [m] to obstacles that an episode keeps, as terms with `radius_m: null` read it.
+
+    What the scene's route keeps, less the headroom, within the two ends: a route that the vehicle
+    could not follow would teach nothing. Uniform between them where the scene does not say what its
+    route keeps; equal ends fix it.
+
+    Args:
+        margin_m: Least and greatest.
+        headroom_m: By how much a route stays clear of the margin.
+    """
+
+    writes = (keys.MARGIN,)
+    reads = (keys.ROUTE_CLEARANCE,)
+    draws = 1
+
+    def __init__(self, *, margin_m: Sequence[MapDistance], headroom_m: NotNegative = 0.1) -> None:
+        super().__init__()
+        self.margin_m = _range("margin_m", margin_m)
+        self.headroom_m = headroom_m
+
+    def compute(
+        self, clearance: Float[Tensor, "n 1"], unit: Float[Tensor, "n 1"]
+    ) -> Float[Tensor, "n 1"]:
+        least, greatest = self.margin_m
+        of_scene = (clearance - self.headroom_m).clamp(least, greatest)
+        return of_scene.where(clearance.isfinite(), uniform_between(unit, least, greatest))
+
+
+def _range(name: str, ends: Sequence[float]) -> tuple[float, float]:
+    if len(ends) != 2 or not 0 < ends[0] <= ends[1]:
+        raise ConfigError(f"{name} is {list(ends)}; expected [least, greatest], both above zero.")
+    return float(ends[0]), float(ends[1])
