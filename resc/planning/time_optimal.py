@@ -10,20 +10,19 @@ Of many obstacles few are near: a programme holds those pairs of obstacle and po
 and is solved again with more should any other pair turn out to. So the result keeps clear of all.
 """
 
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import ceil
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter1d
 
-from resc.errors import ConfigError, PlanningError
+from resc.errors import PlanningError
+from resc.planning.obstacle_distance import distances, outside_box, solver
 from resc.planning.trajectory import Trajectory, slope_weights, weights
 from resc.quantities import NotNegative, Positive
 
@@ -69,7 +68,7 @@ _OPTIONS = {
     "ipopt.tol": 1e-6,
     "ipopt.max_iter": 500,
     # A start on which the factorisation degenerates takes minutes; another start takes a second.
-    "ipopt.max_cpu_time": 4.0,
+    "ipopt.max_cpu_time": 10.0,
 }
 
 
@@ -115,24 +114,6 @@ class Solved:
     wall_s: float
 
 
-def solver() -> ModuleType:
-    """The module casadi.
-
-    Raises:
-        ConfigError: It is not installed.
-    """
-    # Its algebra would start a thread for every core, which only wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        import casadi
-    except ImportError:
-        raise ConfigError(
-            "The bound is solved by casadi, which is not installed; install it with: "
-            "pip install -e '.[bound]'."
-        ) from None
-    return casadi
-
-
 def solve(
     crossing: Crossing, path_m: Float[np.ndarray, "v 2"], intervals: int | None = None
 ) -> Solved:
@@ -168,44 +149,9 @@ def solve(
     )
 
 
-def outside_box(
-    ca: ModuleType,
-    points: Any,  # noqa: ANN401 - an expression of casadi, 2 x points
-    box: tuple[float, ...],
-    reach_m: float,
-) -> Any:  # noqa: ANN401
-    """Squared distance of points to a box less the squared reach [m^2]; another shape is another.
-
-    Of a pillar, `[x, y, radius]`, from its axis, which the radius is reached from, too. Exact and,
-    outside the obstacle, with a continuous derivative.
-    """
-    if len(box) == 3:
-        x, y, radius = box
-        return (points[0, :] - x) ** 2 + (points[1, :] - y) ** 2 - (radius + reach_m) ** 2
-    x, y, length_x, length_y = box
-    beside_x = ca.fmax(ca.fabs(points[0, :] - x - length_x / 2) - length_x / 2, 0)
-    beside_y = ca.fmax(ca.fabs(points[1, :] - y - length_y / 2) - length_y / 2, 0)
-    return beside_x**2 + beside_y**2 - reach_m**2
-
-
-def distances(
-    points_m: Float[np.ndarray, "p 2"], boxes: Sequence[tuple[float, ...]]
-) -> Float[np.ndarray, "k p"]:
-    """Distance of points to the surfaces of a crossing's obstacles [m], below 0 inside."""
-    found = np.empty((len(boxes), len(points_m)))
-    for row, (x, y, *lengths) in zip(found, boxes, strict=True):
-        if len(lengths) == 1:
-            row[:] = np.hypot(*(points_m - (x, y)).T) - lengths[0]
-        else:
-            low = np.array((x, y))
-            beside = np.maximum(low - points_m, points_m - low - lengths)
-            row[:] = np.hypot(*beside.clip(min=0).T) + beside.max(1).clip(max=0)
-    return found
-
-
 def _intervals(length_m: float) -> int:
     """3.5 a metre but at least 50; fewer on a short path, where the solver fails on many: 12 do."""
-    return max(12, min(50, ceil(5 * (length_m - ARRIVAL_M))), ceil(3.5 * length_m))
+    return max(12, min(50, ceil(6 * (length_m - ARRIVAL_M))), ceil(3.5 * length_m))
 
 
 def _require_room(crossing: Crossing) -> None:

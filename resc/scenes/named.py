@@ -10,6 +10,9 @@ from resc.quantities import NotNegative, Number, Positive
 from resc.scenes.layout import NO_PILLAR, Layout
 from resc.scenes.occupancy import Box, occupancy_boxes
 
+BORDER_M = 1e-6
+"""How far a cell may reach beyond the map by rounding."""
+
 
 class NamedScene:
     """A fixed set of obstacles; every sample starts within `jitter_m` of the start in x and y.
@@ -77,7 +80,9 @@ class NamedScene:
             raise ConfigError(f"corner_m is {list(corner)}; expected 2 numbers.")
         boxes = [tuple(box) for box in boxes]
         if occupancy is not None:
-            boxes += _grid(occupancy, cell_m, corner, {"start_m": start_m, "goal_m": goal_m})
+            grid = _grid(occupancy, cell_m, corner, {"start_m": start_m, "goal_m": goal_m})
+            _require_on_map(grid, origin_m, size_m)
+            boxes += grid
         elif cell_m is not None or corner_m is not None:
             name = "cell_m" if cell_m is not None else "corner_m"
             raise ConfigError(f"{name} is of a grid, and there is none; give occupancy, too.")
@@ -126,3 +131,17 @@ def _grid(
                     "free one."
                 )
     return boxes
+
+
+def _require_on_map(
+    grid: Sequence[Box], origin_m: Sequence[Number], size_m: Sequence[Positive]
+) -> None:
+    """Refuses cells beyond the map, which a wrong `cell_m` puts there."""
+    for x, y, wide, deep in grid:
+        for low, length, origin, size in zip((x, y), (wide, deep), origin_m, size_m, strict=True):
+            if low < origin - BORDER_M or low + length > origin + size + BORDER_M:
+                raise ConfigError(
+                    f"occupancy has occupied cells from ({x:g}, {y:g}) to ({x + wide:g}, "
+                    f"{y + deep:g}) m, beyond the map from {list(origin_m)}, {list(size_m)} m "
+                    "large; change cell_m or corner_m, or enlarge size_m."
+                )

@@ -7,11 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from resc.errors import ConfigError, PlanningError
-from resc.evaluation.bound import bound, find_tasks
-from resc.evaluation.references import limits_of, read_references
+from resc.evaluation.bound import bound, find_tasks, missing
+from resc.evaluation.references import Reference, keep, limits_of, read_references
+from resc.planning.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
 CORRIDOR = {
@@ -74,6 +76,17 @@ def test_empty_list_of_scenes_is_refused(tasks):
 def test_start_too_near_to_a_wall_names_the_scene(tasks, tmp_path):
     with pytest.raises(PlanningError, match=r"^corridor: The start \(1, 2.8\) m is 0.2 m from"):
         bound(tasks(corridor={**CORRIDOR, "start_m": [1.0, 2.8, 1.0]}), None, tmp_path)
+
+
+def test_maps_without_a_reference_are_what_is_missing(tasks, tmp_path):
+    (first, second) = tasks(corridor=CORRIDOR, other={**CORRIDOR, "goal_m": [5.0, 1.0, 1.0]})
+    stored = tmp_path / "mine.json"
+    assert missing([first, second], stored) == [first, second]
+    flight = Trajectory(2.0, np.linspace([1, 1, 1], [4, 1, 1], 8))
+    keep(Reference("corridor", first[1], 4.0, flight, flight), stored)
+    assert missing([first, second], stored) == [second]
+    with pytest.raises(ConfigError, match="missing is true, and all 1 maps have a reference"):
+        missing([first], stored)
 
 
 @pytest.mark.slow

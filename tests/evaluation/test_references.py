@@ -17,6 +17,7 @@ from resc.evaluation.references import (
     digest,
     keep,
     limits_of,
+    outdone,
     read_references,
 )
 from resc.math.geometry import box_distance
@@ -160,3 +161,19 @@ def test_limits_without_the_sensor_say_what_to_give():
     node = {"_target_": "resc.planning.time_optimal.Limits", "speed_mps": speed}
     with pytest.raises(ConfigError, match=r"follow sensor.limit_violations, which is left out"):
         limits_of(OmegaConf.create({"limits": node, "sensor": {}}))
+
+
+def test_the_better_of_two_flights_of_a_scene_is_kept_of_each_kind(made_up, tmp_path):
+    def with_(fastest_s, smooth_s):
+        flights = {"fastest": fastest_s, "smooth": smooth_s}
+        return replace(
+            made_up,
+            **{k: Trajectory(t, made_up.fastest.control_m) for k, t in flights.items()},
+        )
+
+    keep(with_(2.0, 3.0), tmp_path / "mine.json")
+    stored = keep(found := with_(2.5, 2.9), tmp_path / "mine.json")
+    assert (stored.fastest.duration_s, stored.smooth.duration_s) == (2.0, 2.9)
+    (said,) = outdone(found, stored)
+    assert said.startswith("fastest of before kept, 2.00 s")
+    assert outdone(stored, stored) == []

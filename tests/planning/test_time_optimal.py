@@ -122,6 +122,23 @@ def test_start_at_the_goal_is_refused():
 
 
 @solving
+@pytest.mark.parametrize("way_m", [0.03, 0.3])
+def test_very_short_flight_takes_the_time_of_its_closed_form(way_m):
+    """j t^3 / 6, before the acceleration reaches its limit."""
+    found = straight(towards(way_m)).fastest
+    assert found.duration_s == pytest.approx((6 * way_m / 20) ** (1 / 3), rel=0.015)
+
+
+@solving
+def test_obstacle_far_from_the_path_is_kept_clear_of():
+    """The path leads round a wall; the way back to the straight line meets a pillar."""
+    crossing = replace(EMPTY, goal_m=(9.0, 2.0, 1.0), boxes=((5.0, 2.2, 0.4),))
+    path = np.array([[1.0, 2.0], [5.0, 7.0], [9.0, 2.0]])
+    found = solve(crossing, path).smooth
+    assert (np.hypot(*(found.line(2000) - [5.0, 2.2]).T) - 0.4).min() >= 0.3
+
+
+@solving
 def test_gap_too_narrow_for_the_margin_is_one_sentence():
     walls = ((3.0, 0.0, 0.2, 1.75), (3.0, 2.25, 0.2, 17.75))
     with pytest.raises(PlanningError, match=r"No flight was found .* lower limits.margin_m"):

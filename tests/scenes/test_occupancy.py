@@ -48,8 +48,8 @@ def test_distances_to_the_boxes_are_those_to_the_cells():
         for row, column in np.argwhere(cells)
     ]
     single = torch.tensor(each, dtype=torch.float64)
-    expected = box_distance(points, single.expand(500, -1, -1))
-    found = box_distance(points, boxes.expand(500, -1, -1))
+    expected = box_distance(points, single.expand(500, -1, -1)).amin(1)
+    found = box_distance(points, boxes.expand(500, -1, -1)).amin(1)
     outside = expected > 0
     torch.testing.assert_close(found[outside], expected[outside])
     assert (found[~outside] <= 0).all()
@@ -83,6 +83,8 @@ def test_a_grid_stands_beside_boxes_and_pillars():
         ({"occupancy": "maze.npy"}, "occupancy is 'maze.npy', which is no .npy file"),
         ({"occupancy": ["....", "#..."]}, r"start_m is \[0.25, 0.25\], inside an occupied cell"),
         ({"occupancy": ["....", "...#"]}, r"goal_m is \[1.75, 0.25\], inside an occupied cell"),
+        ({"cell_m": 0.6}, r"from \(0, 0.6\) to \(0.6, 1.2\) m, beyond the map"),
+        ({"corner_m": [-0.1, 0.0]}, r"from \(-0.1, 0.5\) to \(0.4, 1\) m, beyond the map"),
         ({"cell_m": None}, "cell_m is missing"),
         ({"occupancy": None}, "cell_m is of a grid, and there is none"),
         ({"corner_m": [1.0]}, r"corner_m is \[1.0\]; expected 2 numbers"),
