@@ -122,7 +122,8 @@ def solve(
     Args:
         crossing: Obstacles, ends and limits.
         path_m: Polyline from the start to the goal, which leads the solver; best the shortest path.
-        intervals: Pieces of the splines; if not given, as many as the path's length asks for.
+        intervals: Pieces of the splines; if not given, as many as the path's length asks for, or
+            fewer where that fails.
 
     Raises:
         ConfigError: casadi is not installed.
@@ -131,7 +132,22 @@ def solve(
     began = time.perf_counter()
     _require_room(crossing)
     length = float(np.hypot(*np.diff(path_m, axis=0).T).sum())
-    task = _Task(crossing, intervals or _intervals(length))
+    most = _intervals(length)
+    for count in (intervals,) if intervals else (most, most // 2, most // 4):
+        if flights := _flights(_Task(crossing, count), path_m):
+            return Solved(*flights, wall_s=time.perf_counter() - began)
+    limits = crossing.limits
+    raise PlanningError(
+        f"No flight was found that follows the path of {length:.1f} m and keeps "
+        f"{limits.margin_m:g} m from every surface; lower limits.margin_m, or raise "
+        "search.clearance_m so that the path leaves more room."
+    )
+
+
+def _flights(
+    task: "_Task", path_m: Float[np.ndarray, "v 2"]
+) -> tuple[Trajectory, Trajectory] | None:
+    """The fastest flight and the smooth one; None if there is not either."""
     for tries in (ROUNDS, *((rounds,) for rounds in OTHER_ROUNDS)):
         smooth = task.best(SMOOTH, [task.guess(path_m, rounds) for rounds in tries])
         if smooth is None:
@@ -139,14 +155,8 @@ def solve(
         for weight, start in product(FASTEST, (smooth, task.slower(smooth))):
             fastest = task.solve(weight, start)
             if fastest is not None:
-                found = task.trajectory(fastest), task.trajectory(smooth)
-                return Solved(*found, wall_s=time.perf_counter() - began)
-    limits = crossing.limits
-    raise PlanningError(
-        f"No flight was found that follows the path of {length:.1f} m and keeps "
-        f"{limits.margin_m:g} m from every surface; lower limits.margin_m, or raise "
-        "search.clearance_m so that the path leaves more room."
-    )
+                return task.trajectory(fastest), task.trajectory(smooth)
+    return None
 
 
 def _intervals(length_m: float) -> int:
