@@ -63,7 +63,9 @@ def checked(path: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - of
         return _bounded(path, checked(path, value, inner[0]), annotation.__metadata__)
     if NoneType in inner:
         others = [kind for kind in inner if kind is not NoneType]
-        return None if value is None else checked(path, value, others[-1])
+        lists = [kind for kind in others if get_origin(kind) is Sequence]
+        wanted = lists[0] if lists and isinstance(value, list | tuple) else others[-1]
+        return None if value is None else checked(path, value, wanted)
     if float in inner and origin is not Sequence:  # int | float
         return checked(path, value, float)
     if annotation in (float, int):

@@ -98,7 +98,8 @@ def every_list():
     chosen = {group: names(group) for group in LISTS if group != "obstacle_observation"}
     chosen = {g: [n for n in found if not is_set(g, n)] for g, found in chosen.items()}
     chosen["sensor"].sort(key=lambda name: name != "euler")  # others read it
-    return [f"{group}=[{','.join(found)}]" for group, found in chosen.items()]
+    lists = [f"{group}=[{','.join(found)}]" for group, found in chosen.items()]
+    return [*lists, "scene.clearance_m=[0.3,0.5]"]  # as the margins drawn want it
 
 
 @pytest.fixture(scope="module")

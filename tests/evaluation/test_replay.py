@@ -24,6 +24,7 @@ from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import open_recorder
 
 RUN = (
+    "scene=training",
     "num_envs=8",
     "pool_size=16",
     "renew_scenes=2",

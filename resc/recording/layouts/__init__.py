@@ -11,7 +11,10 @@ from typing import Any, NamedTuple
 import foxglove.layouts as panels
 
 DEFAULT = (
-    ("progress", "time", "crash", "dynamics_limits", "field_of_view", "body_rate", "finish"),
+    (
+        *("progress", "time", "crash", "dynamics_limits", "field_of_view", "body_rate", "finish"),
+        *("jerk", "action_rate"),
+    ),
     ("esdf_patch_points", "kgp_esdf_points", "kgp_esdf"),
 )
 """Rewards, and topics under /observation, of the default training."""
