@@ -258,6 +258,7 @@ class _Task:
             if not self._programme.stats()["success"]:
                 return None
             found = np.array(result["x"]).ravel()
+            assert self._pairs is not None
             missing = (self._clearances(found) < reach - TOUCH_M) & ~self._pairs
             if not missing.any():
                 return found

@@ -50,7 +50,7 @@ def merged(cells: Bool[np.ndarray, "h w"]) -> list[tuple[int, int, int, int]]:
             continue
         free = np.flatnonzero(~left[row, column:])
         wide = int(free[0]) if len(free) else left.shape[1] - int(column)
-        whole = left[row:, column : column + wide].all(1)
+        whole = np.atleast_1d(left[row:, column : column + wide].all(1))
         shut = np.flatnonzero(~whole)
         deep = int(shut[0]) if len(shut) else len(whole)
         left[row : row + deep, column : column + wide] = False
