@@ -7,7 +7,7 @@ acting and updating are compiled.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, cast
+from typing import Annotated, Literal, cast
 
 import torch
 from tensordict import TensorDict
@@ -30,7 +30,6 @@ from resc.term import Curriculum
 
 RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
 """State before each step that a rollout keeps, beside what the update needs."""
-SCHEDULES = ("linear", "geometric")
 RENEWED = "scene_renewed"
 """Outcome of an episode cut because its scene was laid out anew."""
 
@@ -72,15 +71,11 @@ class PpoSettings:
     max_grad_norm: Positive
     reward_scale: Positive
     target_kl: Positive | None = None
-    schedule: str = "linear"
+    schedule: Literal["linear", "geometric"] = "linear"
 
     def __post_init__(self) -> None:
         if min(self.steps, self.minibatch, self.epochs) < 1:
             raise ConfigError("steps, minibatch and epochs must be at least 1.")
-        if self.schedule not in SCHEDULES:
-            raise ConfigError(
-                f"schedule is '{self.schedule}'; expected one of {', '.join(SCHEDULES)}."
-            )
         if self.schedule == "geometric" and self.final_learning_rate <= 0:
             raise ConfigError(
                 f"final_learning_rate is {self.final_learning_rate}; a geometric schedule needs "

@@ -9,6 +9,9 @@ from torch import Tensor
 
 from resc.maps.cells import last_cell
 
+FLAT = 1e-4
+"""A field that rises by less than this per metre has no direction."""
+
 
 @dataclass(frozen=True)
 class DistanceField:
@@ -44,6 +47,15 @@ class DistanceField:
         row = row.clamp(min=0).minimum(last_row).to(torch.int32)
         offset = self.index.to(torch.int32) * (height * width)
         return self.esdf.view(-1)[offset + row * width + column].clamp(max=self.truncation_m)
+
+    def slope(
+        self, x: Float[Tensor, "*k n"], y: Float[Tensor, "*k n"]
+    ) -> tuple[Float[Tensor, "*k n"], Float[Tensor, "*k n"]]:
+        """Rise along x and y [m/m], by central differences one cell to each side."""
+        cell = self.resolution_m
+        slope_x = (self.at(x + cell, y) - self.at(x - cell, y)) / (2 * cell)
+        slope_y = (self.at(x, y + cell) - self.at(x, y - cell)) / (2 * cell)
+        return slope_x, slope_y
 
     def inside(self, x: Float[Tensor, "*k n"], y: Float[Tensor, "*k n"]) -> Bool[Tensor, "*k n"]:
         """Whether (x, y) lies on the map."""

@@ -124,3 +124,23 @@ def test_renewed_scenes_truncate_the_episodes_flying_in_them(trainer):
     entries = (trainer.env.pool.head + torch.arange(-2, 0)) % 16
     flying = trainer.env.value_of(keys.SCENE_INDEX)[:, 0]
     assert (trainer.env.value_of(keys.CLOCK)[torch.isin(flying, entries)] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("schedule", "halfway"),
+    [("linear", 0.00505), ("geometric", 0.001)],
+    ids=["linear", "geometric"],
+)
+def test_learning_rate_falls_from_one_end_to_the_other(compose, schedule, halfway):
+    ends = "algorithm.learning_rate=0.01", "algorithm.final_learning_rate=0.0001"
+    trainer = build_trainer(compose(*SMALL, *ends, f"algorithm.schedule={schedule}"))
+    rates = []
+    for frames in (0, 512, 1024):
+        trainer.frames = frames
+        rates.append(trainer._learning_rate())
+    assert rates == pytest.approx([0.01, halfway, 0.0001])
+
+
+def test_geometric_schedule_cannot_end_at_nothing(compose):
+    with pytest.raises(ConfigError, match="a geometric schedule needs one above zero"):
+        build_trainer(compose(*SMALL, "algorithm.final_learning_rate=0.0"))

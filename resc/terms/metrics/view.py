@@ -7,15 +7,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
-from resc.maps.distance_field import select
+from resc.maps.distance_field import FLAT, select
 from resc.maps.observation import MAP_KEYS
 from resc.math.geometry import in_view
 from resc.math.rotation import rotate_inverse
 from resc.quantities import Angle, NotNegative, Positive
 from resc.term import Context, Metric
-
-FLAT = 1e-4
-"""A field that rises by less than this per metre has no direction."""
 
 
 class Camera(Metric):
@@ -106,12 +103,11 @@ class ObstacleOutOfView(Camera):
         *maps: Tensor,
     ) -> Float[Tensor, "n 1"]:
         index, esdf, origin, size = maps
-        field, cell = select(esdf, index, origin, size, self.cell_m), self.cell_m
+        field = select(esdf, index, origin, size, self.cell_m)
         ahead = position + self.ahead_s * velocity
         x, y = ahead[:, 0], ahead[:, 1]
         distance = field.at(x, y)
-        slope_x = (field.at(x + cell, y) - field.at(x - cell, y)) / (2 * cell)
-        slope_y = (field.at(x, y + cell) - field.at(x, y - cell)) / (2 * cell)
+        slope_x, slope_y = field.slope(x, y)
         steepness = torch.hypot(slope_x, slope_y)
         reach = distance.clamp(min=0) / steepness.clamp(min=FLAT)
         surface = torch.stack((x - reach * slope_x, y - reach * slope_y, position[:, 2]), -1)

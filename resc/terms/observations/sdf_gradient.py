@@ -5,10 +5,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from resc import keys
+from resc.maps.distance_field import FLAT
 from resc.maps.observation import MAP_KEYS, MapObservation
-
-FLAT = 1e-4
-"""A field that rises by less than this per metre has no direction."""
 
 
 class SdfGradient(MapObservation):
@@ -23,10 +21,9 @@ class SdfGradient(MapObservation):
     columns = ("distance", "toward_x", "toward_y")
 
     def compute(self, position: Float[Tensor, "n 3"], *maps: Tensor) -> Float[Tensor, "n 3"]:
-        field, cell = self.field(*maps), self.resolution_m
+        field = self.field(*maps)
         x, y = position[:, 0], position[:, 1]
-        slope_x = (field.at(x + cell, y) - field.at(x - cell, y)) / (2 * cell)
-        slope_y = (field.at(x, y + cell) - field.at(x, y - cell)) / (2 * cell)
+        slope_x, slope_y = field.slope(x, y)
         steepness = torch.hypot(slope_x, slope_y)
         scale = torch.where(steepness > FLAT, -1 / steepness.clamp(min=FLAT), 0.0)
         return torch.stack((field.at(x, y), scale * slope_x, scale * slope_y), -1)
