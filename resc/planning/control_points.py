@@ -39,6 +39,9 @@ def control_points(
 
     `visible`: every line between consecutive points is as free as the path itself, and at most the
     upper spacing long; points nearer than the lower spacing are merged where the lines stay free.
+    In a slot as narrow as the clearance allows, where the path follows a staircase of cells and no
+    line does, those nearer than half the lower spacing are merged where lines come one cell nearer
+    to the obstacles: two points a cell apart would say nothing of the way.
     `released`: the rule of the released RESC code, for comparison.  It leaves out the points of
     short segments, so its lines may cross obstacles.
     """
@@ -70,7 +73,10 @@ def visible_points(points_m: Points, blocked: Grid, frame: Frame, limits: Limits
         cells[n, 0] = (points_m[n, 0] - x0_m) / size_m
         cells[n, 1] = (points_m[n, 1] - y0_m) / size_m
     count = _drop_own_cell(cells, len(cells))
-    count = _merge_short(cells, count, blocked, limits[0] / size_m)
+    shortest = limits[0] / size_m
+    count = _merge_short(cells, count, blocked, shortest)
+    if _shortest_gap(cells, count) < 0.5 * shortest:  # in a slot a cell or two wide
+        count = _merge_short(cells, count, _without_rim(blocked), 0.5 * shortest)
     for n in range(count):
         cells[n, 0], cells[n, 1] = cells[n, 0] * size_m + x0_m, cells[n, 1] * size_m + y0_m
     last = len(points_m) - 1
@@ -115,6 +121,31 @@ def _merge_short(points: Points, count: int, blocked: Grid, shortest: float) -> 
         at = max(0, at - 1) if left < count else at + 1
         count = left
     return count
+
+
+@njit(cache=True)
+@no_type_check
+def _shortest_gap(points: Points, count: int) -> float:
+    """Between neighbours, the last pair left out, which nothing can merge; in cells."""
+    least = np.inf
+    for n in range(count - 2):
+        least = min(least, _length(_point(points, n), _point(points, n + 1)))
+    return least
+
+
+@njit(cache=True)
+@no_type_check
+def _without_rim(blocked: Grid) -> Grid:
+    """The blocked cells, without those that share an edge with a free one."""
+    height, width = blocked.shape
+    inner = blocked.copy()
+    for y in range(height):
+        for x in range(width):
+            if not blocked[y, x]:
+                for j, i in ((y - 1, x), (y + 1, x), (y, x - 1), (y, x + 1)):
+                    if 0 <= j < height and 0 <= i < width:
+                        inner[j, i] = False
+    return inner
 
 
 @njit(cache=True)

@@ -3,6 +3,9 @@
 import pytest
 import torch
 
+from tensordict import TensorDict
+from torchrl.objectives import ClipPPOLoss
+
 from resc import keys
 from resc.errors import ConfigError, NumericalError
 from resc.learning.assemble import build_trainer
@@ -34,6 +37,45 @@ def test_reward_terms_of_a_batch_sum_to_the_reward(trainer):
     trainer.collect()
     total = trainer.batch["reward_terms"].sum(-1, keepdim=True)
     torch.testing.assert_close(total, trainer.batch["reward"])
+
+
+@pytest.mark.parametrize("entropy", [0.0, 0.02])
+def test_the_losses_and_their_gradients_are_those_of_torchrl(compose, entropy):
+    trainer = build_trainer(compose(*SMALL, f"algorithm.entropy_coefficient={entropy}"))
+    trainer.iterate()  # away from the first weights, so that ratios differ from one
+    trainer.collect()
+    trainer.estimate_advantages()
+    with torch.no_grad():
+        trainer.networks.head.log_std += 0.1
+    settings, networks = trainer.settings, trainer.networks
+    theirs = ClipPPOLoss(
+        networks.actor,
+        networks.critic,
+        clip_epsilon=settings.clip_epsilon,
+        entropy_coeff=entropy,
+        critic_coeff=settings.value_coefficient,
+        loss_critic_type="l2",
+        normalize_advantage=True,
+    )
+    names = ("observation", "action", "action_log_prob", "advantage", "value_target")
+    batch = trainer.batch
+    out = theirs(TensorDict({n: batch[n].flatten(0, 1) for n in names}, [batch.numel()]))
+    total = out["loss_objective"] + out["loss_critic"] + out["loss_entropy"]
+    total.backward()
+    expected = [p.grad.clone() for p in networks.parameters()]
+    for p in networks.parameters():
+        p.grad = None
+    loss, policy, value, spread, divergence, clipped = trainer._losses(trainer._samples())
+    loss.backward()
+    assert float(out["clip_fraction"]) > 0
+    torch.testing.assert_close(loss, total)
+    torch.testing.assert_close(policy, out["loss_objective"])
+    torch.testing.assert_close(value, out["loss_critic"])
+    torch.testing.assert_close(spread, out["entropy"])
+    torch.testing.assert_close(divergence, out["kl_approx"])
+    torch.testing.assert_close(clipped, out["clip_fraction"])
+    for ours, other in zip(networks.parameters(), expected, strict=True):
+        torch.testing.assert_close(ours.grad, other)
 
 
 def test_same_seed_gives_the_same_weights_bit_for_bit(compose):

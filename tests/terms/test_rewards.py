@@ -22,6 +22,7 @@ from resc.terms.rewards.field_of_view import FieldOfView
 from resc.terms.rewards.finish import Finish
 from resc.terms.rewards.jerk import Jerk
 from resc.terms.rewards.progress import Progress
+from resc.terms.rewards.route_progress import RouteProgress
 from resc.terms.rewards.time import Time
 
 LONGEST = 3.0 * 0.02
@@ -101,6 +102,43 @@ def test_a_slanted_ray_through_the_top_enters_the_column(run):
     step = LONGEST / math.hypot(run, 0.4)  # meets the top, 0.2 m above the point, at x = 1.4 + run
     end = (1.4 + run * step, 0.0, 1.6 - 0.4 * step)
     assert progress(start, end, (2.0, 0.0, 1.0)) == pytest.approx(1.0, abs=1e-4)
+
+
+def fly_route(places, route, length):
+    """Sum of the progress along a route padded with its last point, passed within half a metre."""
+    term = RouteProgress(weight=1.0)
+    term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
+    route, length = row(*route), torch.tensor([[length]])
+    index, total = torch.tensor([[0]]), 0.0
+    for before, place in itertools.pairwise(places):
+        before, place, passed = row(*before), row(*place), index
+        if index < length and (place - route[:, index[0, 0]]).norm() <= 0.5:
+            index = index + 1
+        total += float(term.compute(place, before, route, length, index, passed))
+    return total * LONGEST, int(index)
+
+
+ROUTE = ((2.0, 0.0, 1.0), (2.0, 2.0, 1.0), (4.0, 2.0, 1.0), (4.0, 2.0, 1.0))
+
+
+@pytest.mark.parametrize("corners", [[(2.0, 0.0), (2.0, 2.0)], [(1.6, 0.3), (2.4, 1.8)]])
+def test_progress_along_the_route_is_its_length_however_it_is_flown(corners):
+    stops = [(0.0, 0.0), *corners, (3.6, 2.0)]
+    places = [
+        (a[0] + (b[0] - a[0]) * n / 40, a[1] + (b[1] - a[1]) * n / 40, 1.0)
+        for a, b in itertools.pairwise(stops)
+        for n in range(40)
+    ]
+    total, passed = fly_route([*places, (3.6, 2.0, 1.0)], ROUTE, 3)
+    assert passed == 3
+    assert total == pytest.approx(6.0 - 0.4, abs=1e-4)  # the end is 0.4 m before the last point
+
+
+def test_hovering_at_a_point_that_is_passed_earns_nothing_more():
+    total, passed = fly_route([(1.7, 0.0, 1.0)] * 5, ROUTE, 3)
+    assert passed == 1
+    detour = 0.3 + 2.0 - math.dist((1.7, 0.0), (2.0, 2.0))  # the corner that is now cut
+    assert total == pytest.approx(detour, abs=1e-5)
 
 
 def test_progress_telescopes_so_loops_earn_nothing():

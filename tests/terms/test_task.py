@@ -41,6 +41,42 @@ def test_without_a_height_the_column_is_a_sphere():
     assert not passes((2.4, 0.4, 1.4), **sphere)
 
 
+WIDE = {"beyond_m": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("position", "past"),
+    [
+        ((4.05, 1.7, 1.1), True),  # wide of the second point, just past the line through it
+        ((3.95, 1.7, 1.1), False),  # not yet
+        ((4.3, 0.4, 1.1), True),  # cut short on the other side
+        ((4.05, 2.1, 1.1), False),  # too wide
+        ((4.05, 1.3, 1.9), True),  # too high for its column
+    ],
+)
+def test_a_point_on_the_way_is_passed_beyond_the_line_that_halves_the_turn(position, past):
+    assert not passes(position, index=1)
+    assert passes(position, index=1, **WIDE) == past
+
+
+def test_the_first_and_the_last_point_are_passed_in_their_columns_alone():
+    for index, point in ((0, ROUTE[0]), (2, ROUTE[2])):
+        beyond = (point[0] + 0.6, point[1], point[2])
+        assert not passes(beyond, index=index, **WIDE)
+        assert passes((point[0] + 0.4, point[1], point[2]), index=index, **WIDE)
+
+
+def test_a_hairpin_is_not_passed_on_the_way_in():
+    route = [[0.0, 0.0, 1.0], [3.0, 0.5, 1.0], [0.0, 1.0, 1.0]]
+    assert not passes((2.3, 0.4, 1.0), index=1, route=route, **WIDE)
+    assert passes((2.3, 0.6, 1.0), index=1, route=route, **WIDE)
+
+
+def test_beyond_a_point_is_farther_than_its_column():
+    with pytest.raises(ConfigError, match="beyond_m is 0.4; expected more than radius_m, 0.5"):
+        ControlPoints(beyond_m=0.4)
+
+
 def test_passing_moves_on_by_one_and_remembers_the_point_aimed_at():
     index, ahead, target, passed, finished = advance((2.1, 0.1, 1.0))
     assert (index, passed, finished) == (1, True, False)

@@ -3,6 +3,7 @@
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from resc import keys
 from resc.errors import ConfigError
@@ -16,18 +17,32 @@ class ControlPoints(Term):
     The column has radius `radius_m` and half height `half_height_m` (2025 paper); `half_height_m:
     null` makes it a sphere, the rule of the released planner. At most one point is passed per step;
     past the last, it stays repeated and the route is finished.
+
+    With `beyond_m`, a point between the first and the last is passed, too, once the vehicle is
+    within `beyond_m` of it and past the line that halves the angle of the route there: one that
+    swings wide of a column need not turn back. The released planner, which plans anew in flight,
+    does not turn back either.
     """
 
     section = "task"
     reads = (keys.POSITION_W, keys.ROUTE_W, keys.ROUTE_LENGTH, keys.ROUTE_INDEX)
     writes = (keys.ROUTE_INDEX, keys.CONTROL_POINTS_W, keys.TARGET_W, keys.PASSED, keys.FINISHED)
 
-    def __init__(self, *, radius_m: Positive = 0.5, half_height_m: Positive | None = 0.2) -> None:
+    def __init__(
+        self,
+        *,
+        radius_m: Positive = 0.5,
+        half_height_m: Positive | None = 0.2,
+        beyond_m: Positive | None = None,
+    ) -> None:
         super().__init__()
         if radius_m <= 0 or (half_height_m is not None and half_height_m <= 0):
             raise ConfigError("radius_m and half_height_m must be above zero.")
+        if beyond_m is not None and beyond_m <= radius_m:
+            raise ConfigError(f"beyond_m is {beyond_m}; expected more than radius_m, {radius_m}.")
         self.radius_m = radius_m
         self.half_height_m = half_height_m
+        self.beyond_m = beyond_m
 
     def compute(
         self,
@@ -37,7 +52,10 @@ class ControlPoints(Term):
         index: Int[Tensor, "n 1"],
     ) -> tuple[Tensor, ...]:
         target = point_at(route, length, index)
-        passed = self._reached(position - target) & (index < length)
+        passed = self._reached(position - target)
+        if self.beyond_m is not None:
+            passed = passed | self._beyond(position, route, length, index, self.beyond_m)
+        passed = passed & (index < length)
         index = index + passed
         return index, next_two(route, length, index), target, passed, index >= length
 
@@ -46,6 +64,24 @@ class ControlPoints(Term):
             return offset.square().sum(-1, keepdim=True) <= self.radius_m**2
         near = offset[:, :2].square().sum(-1, keepdim=True) <= self.radius_m**2
         return near & (offset[:, 2:].abs() <= self.half_height_m)
+
+    def _beyond(
+        self,
+        position: Float[Tensor, "n 3"],
+        route: Float[Tensor, "n k 3"],
+        length: Int[Tensor, "n 1"],
+        index: Int[Tensor, "n 1"],
+        far_m: float,
+    ) -> Bool[Tensor, "n 1"]:
+        """Past the plane that halves the route's angle at a point between the first and the last."""
+        before = point_at(route, length, (index - 1).clamp(min=0))
+        here, after = point_at(route, length, index), point_at(route, length, index + 1)
+        ahead = functional.normalize(here - before, dim=-1)
+        ahead = ahead + functional.normalize(after - here, dim=-1)
+        offset = position - here
+        past = (offset * ahead).sum(-1, keepdim=True) > 0
+        near = offset.square().sum(-1, keepdim=True) <= far_m**2
+        return past & near & (index > 0) & (index < length - 1)
 
 
 def point_at(
