@@ -1,6 +1,6 @@
 """Proximal policy optimisation on `QuadrotorEnv`, top to bottom: collect, estimate, update.
 
-A plain loop over TorchRL's loss and advantage functions. TorchRL's collector costs milliseconds per
+A plain loop with TorchRL's advantage function. TorchRL's collector costs milliseconds per
 batched step whatever the environment does, so the rollout calls `advance` and `restart` directly;
 acting and updating are compiled.
 """

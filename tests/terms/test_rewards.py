@@ -342,7 +342,7 @@ def test_lengths_and_speeds_of_rewards_must_be_above_zero(kind, option):
         kind(weight=1.0, **{option: 0.0})
 
 
-PAPER = {"progress": 2.0, "time": 3.0, "crash": 350.0, "dynamics_limits": 5.0}
+PAPER = {"point_progress": 2.0, "time": 3.0, "crash": 350.0, "dynamics_limits": 5.0}
 SETS = {
     "paper2025": PAPER | {"field_of_view": 0.5, "body_rate": 0.01, "finish": 20.0},
     "paper2024": PAPER | {"body_rate": 0.01, "arrival": 10.0},
@@ -353,8 +353,8 @@ SETS = {
 def test_a_paper_is_a_named_set_of_rewards(make_stages, name):
     terms = {term.name: term for term in make_stages(f"reward={name}").terms.rewards}
     assert {term: terms[term].weight for term in terms} == SETS[name]
-    assert terms["progress"].speed_mps == 3.0
-    assert terms["progress"].column_radius_m == {"paper2025": 0.5, "paper2024": None}[name]
+    assert terms["point_progress"].speed_mps == 3.0
+    assert terms["point_progress"].column_radius_m == {"paper2025": 0.5, "paper2024": None}[name]
     assert terms["dynamics_limits"].roll_and_pitch_apart == (name == "paper2024")
 
 
