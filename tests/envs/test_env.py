@@ -309,7 +309,7 @@ def test_no_episode_begins_in_a_closed_scene_and_renewal_names_the_rows_still_in
 
 
 def test_reset_shows_the_route_of_the_scene_drawn(make_env):
-    env = started(make_env(REST, seed=4))
+    env = started(make_env(REST, "env.observation_frame=world", seed=4))
     entry = env.value_of(keys.SCENE_INDEX)[:, 0]
     assert torch.equal(env.value_of(keys.ROUTE_W), env.pool.tasks[keys.ROUTE_W][entry])
     assert torch.equal(env.value_of(keys.POSITION_W), env.pool.tasks[keys.START_W][entry])

@@ -212,6 +212,8 @@ def test_a_wrong_curriculum_is_named_with_what_was_expected(make_env, case):
         "task.initial_state.difficulty=null",
         "scene=free",
         "reward=[progress,time]",
+        "reward.progress.difficulty=null",
+        "reward.time.difficulty=null",
     )
     with pytest.raises(ConfigError, match=message):
         Curricula([term.named("mine")], env)

@@ -114,8 +114,8 @@ def test_half_the_difficulty_halves_the_initial_speed(make_trainer):
 
 
 def test_a_difficulty_scales_the_weight_of_a_reward_alone(make_trainer):
-    eased = ["+reward.time.difficulty=haste", f"+curriculum.haste={{_target_:{FIXED},value:0.25}}"]
-    full, quarter = make_trainer(), make_trainer(*eased)
+    eased = ["reward.time.difficulty=hurry", f"+curriculum.hurry={{_target_:{FIXED},value:0.25}}"]
+    full, quarter = make_trainer("reward.time.difficulty=null"), make_trainer(*eased)
     full.collect()
     quarter.collect()
     names = [term.name for term in full.env.stages.terms.rewards]

@@ -91,8 +91,8 @@ def test_a_metre_at_the_limit_costs_the_same_time_whatever_the_limit():
 
 def test_episodes_of_the_experiment_span_the_ranges_and_keep_to_their_routes(dial_env):
     speed, margin = (dial_env.value_of(key)[:, 0] for key in (keys.SPEED_LIMIT, keys.MARGIN))
-    assert 1.5 <= speed.min() < 1.9
-    assert 3.6 < speed.max() <= 4.0
+    assert 1.2 <= speed.min() < 1.9
+    assert 3.6 < speed.max() <= 4.5
     entry = dial_env.value_of(keys.SCENE_INDEX)[:, 0]
     assert_close(margin, dial_env.pool.layout.clearance[entry, 0] - 0.1)
     seen = dial_env.observation[:, -2:]

@@ -63,7 +63,8 @@ def test_turning_the_world_with_the_vehicle_changes_nothing_aligned_with_the_hea
 
 
 def test_turning_the_world_with_the_vehicle_changes_what_is_aligned_with_the_world(make_env):
-    usual, turned = (seen_after_turning(make_env, angle) for angle in (0.0, math.pi / 2))
+    world = "env.observation_frame=world"
+    usual, turned = (seen_after_turning(make_env, a, world) for a in (0.0, math.pi / 2))
     differs = ((usual - turned).abs() > 1e-3).any(0)[:25]
     velocity, yaw, vertical_velocity, heights = 0, 5, 2, slice(9, 11)
     assert differs[velocity]

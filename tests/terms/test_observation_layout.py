@@ -104,7 +104,8 @@ def test_the_offset_within_the_cell_stands_first(make_stages, pose):
 
 def test_the_distance_patch_runs_row_by_row_from_the_upper_left(make_stages, pose):
     expected = torch.tensor(PATCH, dtype=torch.float32) * 0.1
-    assert_close(observe(make_stages(), pose)[11:20], expected, atol=1e-6, rtol=0)
+    stages = make_stages("env.observation_frame=world")
+    assert_close(observe(stages, pose)[11:20], expected, atol=1e-6, rtol=0)
 
 
 def test_velocity_edges_come_before_control_point_edges_and_the_free_distance(make_stages, pose):
