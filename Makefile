@@ -1,4 +1,4 @@
-# `make help` lists the targets. `make train ARGS='seed=1 reward.progress.weight=1.0'` passes arguments on.
+# `make help` lists the targets. `make train ARGS='seed=1 reward.progress.weight=15.0'` passes arguments on.
 
 VENV := .venv
 PY := $(VENV)/bin/python

@@ -48,18 +48,18 @@ height is entered. SPL: success weighted by path length, the mean of shortest / 
 over all flights, 0 for one that does not arrive; the shortest path is the planned one, up to where
 a flight arrives. Collision: the centre of mass touches an obstacle. Closer than {margin:g} m: the
 margin was entered, with or without a collision; the paper inflates obstacles by 0.3 m. Flights
-start at rest, within the jitter of the scene's start; scenes that bring their own routes (training,
-free) are flown under the rules of the training instead. Times, lengths and energy are medians over
-the flights that arrive: time from the start to the first step within 0.5 m (0.2 m) of the goal,
-path and energy up to the success. A flight that never comes within 0.2 m counts as endless there;
-`-` is an endless median, or none. Energy is the integral of squared jerk; jerk is the change of the
-mean acceleration from one control step to the next. Bound: the time of the fastest flight found for
-a point mass from the scene's start, without jitter, within the limits of `limits`; smooth
-reference: the flight that pays a millisecond for a unit of energy. Both are local optima, stored by
-`python -m resc.evaluation.bound`; the ratios are medians over the flights that arrive and have one,
-`-` without. Clearance (centre of mass to obstacle surface), speed, acceleration and limits are over
-all flights; a step is over a limit above {speed:g} m/s, {acceleration:g} m/s^2 or 37.5 deg of roll
-or pitch.
+start at rest, within the jitter of the scene's start; scenes that bring their own routes (planned,
+training, free) are flown under the rules of the training instead. Times, lengths and energy are
+medians over the flights that arrive: time from the start to the first step within 0.5 m (0.2 m) of
+the goal, path and energy up to the success. A flight that never comes within 0.2 m counts as
+endless there; `-` is an endless median, or none. Energy is the integral of squared jerk; jerk is
+the change of the mean acceleration from one control step to the next. Bound: the time of the
+fastest flight found for a point mass from the scene's start, without jitter, within the limits of
+`limits`; smooth reference: the flight that pays a millisecond for a unit of energy. Both are local
+optima, stored by `python -m resc.evaluation.bound`; the ratios are medians over the flights that
+arrive and have one, `-` without. Clearance (centre of mass to obstacle surface), speed,
+acceleration and limits are over all flights; a step is over a limit above {speed:g} m/s,
+{acceleration:g} m/s^2 or 37.5 deg of roll or pitch.
 """
 MAPS_NOTE = """\
 Maps without a route from start to goal at the clearance of the search are drawn again, no others.

@@ -121,15 +121,21 @@ def load_weights(folder: Path, networks: Networks, stages: Stages) -> None:
         raise CheckpointError(f"{folder} holds no {POLICY}; {_where_else(folder)}.")
     content = read(folder / POLICY, ("head", "critic", "layout"))
     require_same_layout([(str(name), int(width)) for name, width in content["layout"]], stages)
+    config, frame = load_config(folder / CONFIG), stages.context.observation_frame
+    trained = (config.get("env") or {}).get("observation_frame", frame)
+    if trained != frame:
+        raise CheckpointError(
+            f"The policy of {folder} was trained with env.observation_frame={trained}, this run has "
+            f"{frame}; give it the same."
+        )
     try:
         networks.head.load_state_dict(content["head"])
         networks.critic.load_state_dict(content["critic"])
         networks.normalization.load_state_dict(content.get("normalization", {}))
     except RuntimeError:
-        model = load_config(folder / CONFIG).get("model")
         raise CheckpointError(
             f"The networks of {folder} are not those of this run; give it the same: model is "
-            f"{model} there."
+            f"{config.get('model')} there."
         ) from None
 
 

@@ -53,6 +53,11 @@ def test_another_observation_is_refused_by_its_block(compose, trained):
         begun(compose, trained[1], "obstacle_observation=raw_sdf")
 
 
+def test_another_frame_is_refused_with_the_setting_to_give(compose, trained):
+    with pytest.raises(CheckpointError, match=r"trained with env\.observation_frame=heading, this"):
+        begun(compose, trained[1], "env.observation_frame=world")
+
+
 def test_folder_without_a_policy_is_refused(compose, tmp_path):
     with pytest.raises(CheckpointError, match=r"holds no policy\.pt"):
         begun(compose, tmp_path / "nothing")
