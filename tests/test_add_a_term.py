@@ -13,6 +13,7 @@ from torch.testing import assert_close
 from resc.build import build_env, build_pool
 from resc.errors import ConfigError
 from resc.learning.progress import describe
+from resc.math.rotation import heading
 from resc.planning.route import planner_for
 
 ROOT = Path(__file__).parents[1]
@@ -51,6 +52,13 @@ def test_the_page_shows_every_file_of_its_tree():
     )
 
 
+def turned(offset, env):
+    """The offset as seen from the vehicle's heading."""
+    c, s = heading(env.value_of(("state", "attitude_wb"))).unbind(-1)
+    x, y, z = offset.unbind(-1)
+    return torch.stack((c * x + s * y, c * y - s * x, z), -1)
+
+
 def test_the_new_parts_stand_in_the_table_and_fly(config):
     env = build_env(config, build_pool(config, size=4, seed=0, plan=planner_for(config)), seed=0)
     table = describe(env.stages).splitlines()
@@ -62,7 +70,7 @@ def test_the_new_parts_stand_in_the_table_and_fly(config):
     for _ in range(50):
         out = env.advance(0.2 * torch.rand(3, 4, generator=generator) - 0.1)
         goal = env.value_of(("task", "route_w"))[:, -1]
-        offset = goal - env.value_of(("state", "position_w"))
+        offset = turned(goal - env.value_of(("state", "position_w")), env)
         assert_close(out.observation[:, column : column + 3], 0.2 * offset)
         tilt = out.reward_terms[:, rewards.index("tilt")]
         assert ((tilt <= 0) & tilt.isfinite()).all()

@@ -121,13 +121,8 @@ def load_weights(folder: Path, networks: Networks, stages: Stages) -> None:
         raise CheckpointError(f"{folder} holds no {POLICY}; {_where_else(folder)}.")
     content = read(folder / POLICY, ("head", "critic", "layout"))
     require_same_layout([(str(name), int(width)) for name, width in content["layout"]], stages)
-    config, frame = load_config(folder / CONFIG), stages.context.observation_frame
-    trained = (config.get("env") or {}).get("observation_frame", frame)
-    if trained != frame:
-        raise CheckpointError(
-            f"The policy of {folder} was trained with env.observation_frame={trained}, this run has "
-            f"{frame}; give it the same."
-        )
+    config = load_config(folder / CONFIG)
+    _require_same_input(folder, config, stages)
     try:
         networks.head.load_state_dict(content["head"])
         networks.critic.load_state_dict(content["critic"])
@@ -137,6 +132,22 @@ def load_weights(folder: Path, networks: Networks, stages: Stages) -> None:
             f"The networks of {folder} are not those of this run; give it the same: model is "
             f"{config.get('model')} there."
         ) from None
+
+
+def _require_same_input(folder: Path, config: Mapping[str, Any], stages: Stages) -> None:
+    """The frame and the scales that the weights were trained with, as far as they are stored."""
+    frame = (config.get("env") or {}).get("observation_frame", "world")
+    facts = {"env.observation_frame": (frame, stages.context.observation_frame)}
+    stored = config.get("observation") or {}
+    for term in stages.terms.observations:
+        scale = (stored.get(term.name) or {}).get("scale", 1.0)
+        facts[f"observation.{term.name}.scale"] = (scale, term.scale)
+    for name, (trained, given) in facts.items():
+        if trained != given:
+            raise CheckpointError(
+                f"The policy of {folder} was trained with {name}={trained}, this run has {given}; "
+                "give it the same."
+            )
 
 
 def load_policy(

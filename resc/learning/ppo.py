@@ -60,7 +60,7 @@ class PpoSettings:
     """
 
     steps: Annotated[int, Within(1)]
-    minibatch: Annotated[int, Within(1, 1e9)]
+    minibatch: Annotated[int, Within(2, 1e9)]
     epochs: Count
     learning_rate: Positive
     final_learning_rate: NotNegative
@@ -75,21 +75,21 @@ class PpoSettings:
     schedule: Literal["linear", "geometric"] = "linear"
 
     def __post_init__(self) -> None:
-        if min(self.steps, self.minibatch, self.epochs) < 1:
-            raise ConfigError("steps, minibatch and epochs must be at least 1.")
+        if min(self.steps, self.minibatch - 1, self.epochs) < 1:
+            raise ConfigError("steps and epochs must be at least 1, minibatch at least 2.")
         if self.schedule == "geometric" and self.final_learning_rate <= 0:
             raise ConfigError(
                 f"final_learning_rate is {self.final_learning_rate}; a geometric schedule needs "
                 "one above zero."
             )
+        if not 0 < self.clip_epsilon < 1:
+            raise ConfigError(f"clip_epsilon is {self.clip_epsilon}; expected a share below 1.")
         if not 0 < self.gamma <= 1 or not 0 <= self.gae_lambda <= 1:
             raise ConfigError(
                 f"gamma is {self.gamma} and gae_lambda {self.gae_lambda}; expected shares up to 1."
             )
-        if min(self.learning_rate, self.clip_epsilon, self.reward_scale, self.max_grad_norm) <= 0:
-            raise ConfigError(
-                "learning_rate, clip_epsilon, reward_scale and max_grad_norm must be above zero."
-            )
+        if min(self.learning_rate, self.reward_scale, self.max_grad_norm) <= 0:
+            raise ConfigError("learning_rate, reward_scale and max_grad_norm must be above zero.")
 
 
 class Ppo:
@@ -281,7 +281,10 @@ class Ppo:
         }
 
     def _samples(self) -> Tensor:
-        """What the losses need of the batch side by side, [samples, columns]: one gather an epoch."""
+        """What the losses need of the batch, side by side so that one gather shuffles it.
+
+        [samples, columns]: observation, action, its log-probability, advantage, value target.
+        """
         columns = [self.networks.normalization(cast(Tensor, self.batch["observation"]))]
         columns += [self.batch["action"], self.batch["action_log_prob"].unsqueeze(-1)]
         columns += [self.batch["advantage"], self.batch["value_target"]]
@@ -296,10 +299,10 @@ class Ppo:
         return torch.stack([figure.detach() for figure in figures])
 
     def _losses_eagerly(self, samples: Tensor) -> tuple[Tensor, ...]:
-        """The sum to minimise; losses of policy and value, entropy, Kullback-Leibler, clipped share.
+        """The sum to minimise; then policy and value loss, entropy, divergence, share clipped.
 
-        What TorchRL's `ClipPPOLoss` computes, without the milliseconds that its TensorDict costs a
-        minibatch (Schulman et al. 2017, eq. 7 and 9; the advantage normalised).
+        Of `_samples`. What TorchRL's `ClipPPOLoss` computes, without the milliseconds that its
+        TensorDict costs a minibatch (Schulman et al. 2017, eq. 7 and 9; advantages normalised).
         """
         settings, actions = self.settings, self.env.stages.terms.action.width
         widths = (self.env.observation_width, actions, 1, 1, 1)
@@ -373,7 +376,8 @@ class Ppo:
             "value_target": 1,
             "reward_terms": len(self.env.stages.terms.rewards),
         }
-        per_step = sum(widths.values()) + widths["observation"]  # the update normalises a copy
+        samples = widths["observation"] + widths["action"] + 3  # as the update puts them together,
+        per_step = sum(widths.values()) + 3 * samples  # in order, and shuffled for two epochs
         require_memory(
             4.0 * per_step * self.batch_frames,
             f"algorithm.steps is {self.settings.steps} and num_envs {self.env.num_envs}",

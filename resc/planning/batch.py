@@ -92,7 +92,8 @@ def _plan(
         found = find_path(blocked, table, start, goal, frame, max_expansions, query, work)
         if found[0] != FOUND:
             continue
-        points = visible_points(work[-1][: found[1]].copy(), blocked, frame, limits)
+        gives_way = radius_squared[n] >= 4  # as `gives_way_at` has it
+        points = visible_points(work[-1][: found[1]].copy(), blocked, frame, limits, gives_way)
         counts[n] = len(points)
         for k in range(min(len(points), routes.shape[1])):
             routes[n, k, 0], routes[n, k, 1] = points[k, 0], points[k, 1]

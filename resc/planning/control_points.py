@@ -30,9 +30,10 @@ def control_points(
     blocked: Grid,
     origin_xy_m: Point | Float[np.ndarray, " 2"],
     resolution_m: float,
-    spacing_m: tuple[float, float] = (0.5, 2.0),
+    spacing_m: tuple[float, float] = (1.0, 2.0),
     nominal_m: float = 1.5,
     height_m: float = 1.0,
+    clearance_m: float = 0.0,
     rule: Literal["visible", "released"] = "visible",
 ) -> Float[np.ndarray, "k 3"]:
     """Points to fly to, from the first one ahead of the drone to the goal [m].
@@ -41,7 +42,8 @@ def control_points(
     upper spacing long; points nearer than the lower spacing are merged where the lines stay free.
     In a slot as narrow as the clearance allows, where the path follows a staircase of cells and no
     line does, those nearer than half the lower spacing are merged where lines come one cell nearer
-    to the obstacles: two points a cell apart would say nothing of the way.
+    to the obstacles: two points a cell apart would say nothing of the way. That takes a
+    `clearance_m`, what the blocked cells keep from obstacles, of two cells or more.
     `released`: the rule of the released RESC code, for comparison.  It leaves out the points of
     short segments, so its lines may cross obstacles.
     """
@@ -53,19 +55,28 @@ def control_points(
         x0_m, y0_m = (float(corner) + 0.5 * resolution_m for corner in origin_xy_m)
         frame = (x0_m, y0_m, float(resolution_m))
         limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
-        kept = visible_points(np.asarray(points_m, np.float64), blocked, frame, limits)
+        gives_way = gives_way_at(clearance_m, resolution_m)
+        kept = visible_points(np.asarray(points_m, np.float64), blocked, frame, limits, gives_way)
     else:
         raise PlanningError(f"Unknown rule '{rule}'; expected 'visible' or 'released'.")
     return np.column_stack([kept, np.full(len(kept), height_m)])
 
 
+def gives_way_at(clearance_m: float, resolution_m: float) -> bool:
+    """Whether a cell may be taken from the clearance: if it is two cells wide or more."""
+    return clearance_m > 2 * resolution_m - 1e-9
+
+
 @njit(cache=True)
 @no_type_check
-def visible_points(points_m: Points, blocked: Grid, frame: Frame, limits: Limits) -> Points:
+def visible_points(
+    points_m: Points, blocked: Grid, frame: Frame, limits: Limits, gives_way: bool
+) -> Points:
     """The points of the rule `visible`, without the start [m].
 
     `frame` is the centre of cell (0, 0) and the size of a cell, `limits` the lower and the upper
-    spacing and the nominal one, all in metres.
+    spacing and the nominal one, all in metres. With `gives_way` lines in slots may come a cell
+    nearer to the obstacles.
     """
     x0_m, y0_m, size_m = frame
     cells = np.empty_like(points_m)
@@ -75,7 +86,7 @@ def visible_points(points_m: Points, blocked: Grid, frame: Frame, limits: Limits
     count = _drop_own_cell(cells, len(cells))
     shortest = limits[0] / size_m
     count = _merge_short(cells, count, blocked, shortest)
-    if _shortest_gap(cells, count) < 0.5 * shortest:  # in a slot a cell or two wide
+    if gives_way and _shortest_gap(cells, count) < 0.5 * shortest:  # in a slot a cell or two wide
         count = _merge_short(cells, count, _without_rim(blocked), 0.5 * shortest)
     for n in range(count):
         cells[n, 0], cells[n, 1] = cells[n, 0] * size_m + x0_m, cells[n, 1] * size_m + y0_m
@@ -126,9 +137,9 @@ def _merge_short(points: Points, count: int, blocked: Grid, shortest: float) -> 
 @njit(cache=True)
 @no_type_check
 def _shortest_gap(points: Points, count: int) -> float:
-    """Between neighbours, the last pair left out, which nothing can merge; in cells."""
+    """Between neighbours; in cells."""
     least = np.inf
-    for n in range(count - 2):
+    for n in range(count - 1):
         least = min(least, _length(_point(points, n), _point(points, n + 1)))
     return least
 

@@ -160,6 +160,7 @@ class RoutePlanner:
             spacing_m=self.spacing_m,
             nominal_m=self.nominal_m,
             height_m=goal[2],
+            clearance_m=self.search.clearance_m,
             rule=self.rule,
         )
         return path, torch.as_tensor(points, dtype=torch.float32)

@@ -48,7 +48,7 @@ SWAPS = {
     "observation.velocity.noise=0.3": set(),
     "~observation.velocity": {"observation.velocity.noise"},
     "~observation.body_x": set(),
-    "env.observation_frame=heading": set(),
+    "env.observation_frame=world": set(),
     "env.history=2": set(),
     "randomization=[inertia,thrust_map,action_delay]": {"mass"},
     "randomization=[mass,thrust_map,action_delay]": {"inertia"},

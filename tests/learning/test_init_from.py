@@ -58,6 +58,20 @@ def test_another_frame_is_refused_with_the_setting_to_give(compose, trained):
         begun(compose, trained[1], "env.observation_frame=world")
 
 
+def test_a_policy_from_before_frames_was_trained_in_that_of_the_world(compose, trained):
+    folder = trained[1]
+    config = OmegaConf.load(folder / "config.yaml")
+    del config.env["observation_frame"]
+    OmegaConf.save(config, folder / "config.yaml")
+    with pytest.raises(CheckpointError, match=r"env\.observation_frame=world, this run has head"):
+        begun(compose, folder)
+
+
+def test_another_scale_is_refused_with_the_setting_to_give(compose, trained):
+    with pytest.raises(CheckpointError, match=r"observation\.velocity\.scale=1\.0, this run has 0"):
+        begun(compose, trained[1], "observation.velocity.scale=0.5")
+
+
 def test_folder_without_a_policy_is_refused(compose, tmp_path):
     with pytest.raises(CheckpointError, match=r"holds no policy\.pt"):
         begun(compose, tmp_path / "nothing")

@@ -2,7 +2,6 @@
 
 import pytest
 import torch
-
 from tensordict import TensorDict
 from torchrl.objectives import ClipPPOLoss
 

@@ -17,6 +17,7 @@ OPEN = np.zeros((100, 100), bool)
 def resample(points, blocked: np.ndarray = OPEN, **settings) -> np.ndarray:
     """Control points on a map of 10 m x 10 m, as (x, y) in metres."""
     points = np.array(points, dtype=float)
+    settings = {"spacing_m": (0.5, 2.0), "clearance_m": 0.3} | settings
     found = control_points(
         points, blocked=blocked, origin_xy_m=(0.0, 0.0), resolution_m=0.1, **settings
     )
@@ -132,7 +133,7 @@ def test_points_of_a_slot_one_cell_wide_are_merged_where_lines_come_one_cell_nea
     blocked[:30, :30] = blocked[70:, 70:] = False  # two rooms, and a diagonal slot between them
     for n in range(84):
         blocked[29 + n // 2, 29 + (n + 1) // 2] = False
-    search = VisibilitySearch(0.0, 0.1)
+    search = VisibilitySearch(0.0, 0.1)  # blocked as it is, whatever clearance that stands for
     start, goal = (2.05, 2.05), (8.05, 8.05)
     prepared = search.prepare(blocked)
     path = search.plan(prepared, start, goal)
@@ -142,3 +143,20 @@ def test_points_of_a_slot_one_cell_wide_are_merged_where_lines_come_one_cell_nea
     gaps = np.hypot(*np.diff(points, axis=0).T)
     assert gaps[1:-1].min() >= 0.25
     assert lines_are_free(points, without_rim(blocked))
+
+
+@pytest.mark.parametrize("thick", [1, 2, 3])
+def test_no_line_leads_through_a_thin_wall_without_clearance(thick):
+    blocked = np.zeros((100, 100), bool)
+    for n, x in enumerate(range(20, 80, thick + 2)):  # walls with a gap at either end in turn
+        blocked[:, x : x + thick] = True
+        gap = slice(46, 48) if n % 2 else slice(52, 54)
+        blocked[gap, x : x + thick] = False
+    search = VisibilitySearch(0.0, 0.1)
+    prepared = search.prepare(blocked)
+    start, goal = (1.05, 5.05), (9.55, 5.05)
+    path = search.plan(prepared, start, goal)
+    assert path.status == "found"
+    settings = {"spacing_m": (1.8, 2.0), "clearance_m": 0.0}
+    found = np.vstack([start, resample(path.points_m, prepared.blocked, **settings)])
+    assert lines_are_free(found, prepared.blocked)

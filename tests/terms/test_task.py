@@ -73,7 +73,7 @@ def test_a_hairpin_is_not_passed_on_the_way_in():
 
 
 def test_beyond_a_point_is_farther_than_its_column():
-    with pytest.raises(ConfigError, match="beyond_m is 0.4; expected more than radius_m, 0.5"):
+    with pytest.raises(ConfigError, match=r"beyond_m is 0\.4; expected more than radius_m, 0\.5"):
         ControlPoints(beyond_m=0.4)
 
 

@@ -12,7 +12,7 @@ from resc.terms.tasks.control_points import point_at
 
 
 class RouteProgress(Reward):
-    """What is left of the route got shorter by in a step, over the longest possible step [-].
+    """By how much the rest of the route became shorter, over the longest possible step [-].
 
     r = (L_prev - L) / (v_max dt), L the distance to the control point aimed at and from there on
     along the route to its end. So an episode's sum depends on where it begins and ends alone: a

@@ -20,8 +20,8 @@ class ControlPoints(Term):
 
     With `beyond_m`, a point between the first and the last is passed, too, once the vehicle is
     within `beyond_m` of it and past the line that halves the angle of the route there: one that
-    swings wide of a column need not turn back. The released planner, which plans anew in flight,
-    does not turn back either.
+    swings wide of a column, or cuts the turn short, need not turn back. The released planner, which
+    plans anew in flight, does not turn back either.
     """
 
     section = "task"
@@ -39,7 +39,9 @@ class ControlPoints(Term):
         if radius_m <= 0 or (half_height_m is not None and half_height_m <= 0):
             raise ConfigError("radius_m and half_height_m must be above zero.")
         if beyond_m is not None and beyond_m <= radius_m:
-            raise ConfigError(f"beyond_m is {beyond_m}; expected more than radius_m, {radius_m}.")
+            raise ConfigError(
+                f"beyond_m is {beyond_m}; expected more than radius_m, {radius_m}, or null."
+            )
         self.radius_m = radius_m
         self.half_height_m = half_height_m
         self.beyond_m = beyond_m
@@ -73,7 +75,7 @@ class ControlPoints(Term):
         index: Int[Tensor, "n 1"],
         far_m: float,
     ) -> Bool[Tensor, "n 1"]:
-        """Past the plane that halves the route's angle at a point between the first and the last."""
+        """Past the plane that halves the angle of the route, at a point on the way."""
         before = point_at(route, length, (index - 1).clamp(min=0))
         here, after = point_at(route, length, index), point_at(route, length, index + 1)
         ahead = functional.normalize(here - before, dim=-1)
