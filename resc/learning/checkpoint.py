@@ -137,7 +137,9 @@ def load_weights(folder: Path, networks: Networks, stages: Stages) -> None:
 def _require_same_input(folder: Path, config: Mapping[str, Any], stages: Stages) -> None:
     """The frame and the scales that the weights were trained with, as far as they are stored."""
     frame = (config.get("env") or {}).get("observation_frame", "world")
-    facts = {"env.observation_frame": (frame, stages.context.observation_frame)}
+    facts: dict[str, tuple[Any, Any]] = {
+        "env.observation_frame": (frame, stages.context.observation_frame)
+    }
     stored = config.get("observation") or {}
     for term in stages.terms.observations:
         scale = (stored.get(term.name) or {}).get("scale", 1.0)
