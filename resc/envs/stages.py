@@ -11,6 +11,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.keys import DECLARED, NestedKey, previous
 from resc.math.rotation import heading
+from resc.math.route import next_two
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import (
     Action,
@@ -23,7 +24,6 @@ from resc.term import (
     Term,
     Termination,
 )
-from resc.terms.tasks.control_points import next_two
 
 World = dict[NestedKey, Tensor]
 

@@ -55,8 +55,8 @@ def asked(evaluation, stored, *overrides):
 
 def test_a_dial_is_what_is_drawn_and_seen(with_dial, stored):
     dial = dial_of(with_dial)
-    assert dial.speed.speed_mps == (1.5, 4.0)
-    assert dial.margin.margin_m == (0.2, 0.4)
+    assert dial.speed.speed_mps == (1.2, 4.5)
+    assert dial.margin.margin_m == (0.15, 0.45)
     blind = {k: v for k, v in with_dial["observation"].items() if k != "limits"}
     assert dial_of({**with_dial, "observation": blind}) is None
     assert dial_of(stored) is None
@@ -93,8 +93,11 @@ def test_scenes_that_plan_their_own_routes_keep_the_margin_too(evaluation, with_
 @pytest.mark.parametrize(
     ("override", "told"),
     [
-        ("limits.speed_mps=5.0", "limits.speed_mps is 5, but the policy was trained from 1.5 to 4"),
-        ("limits.margin_m=0.1", "limits.margin_m is 0.1, but the policy was trained from 0.2 to"),
+        (
+            "limits.speed_mps=5.0",
+            "limits.speed_mps is 5, but the policy was trained from 1.2 to 4.5",
+        ),
+        ("limits.margin_m=0.1", "limits.margin_m is 0.1, but the policy was trained from 0.15 to"),
     ],
 )
 def test_settings_outside_of_what_was_trained_are_refused(evaluation, with_dial, override, told):

@@ -6,7 +6,8 @@ from torch.testing import assert_close
 
 from resc.errors import ConfigError
 from resc.math.rotation import euler_from_quaternion
-from resc.terms.tasks.control_points import ControlPoints, next_two, point_at
+from resc.math.route import next_two, point_at
+from resc.terms.tasks.control_points import ControlPoints
 from resc.terms.tasks.initial_state import InitialState
 
 ROUTE = [[2.0, 0.0, 1.0], [4.0, 1.0, 1.1], [6.0, 0.0, 0.9]]

@@ -6,9 +6,9 @@ from torch import Tensor
 
 from resc import keys
 from resc.math.geometry import distance
+from resc.math.route import point_at
 from resc.quantities import Number, Positive
 from resc.term import Context, Reward
-from resc.terms.tasks.control_points import point_at
 
 
 class RouteProgress(Reward):

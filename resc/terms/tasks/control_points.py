@@ -1,12 +1,12 @@
 """Following a route of control points, two of them in sight."""
 
-import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.math.route import next_two, point_at
 from resc.quantities import Positive
 from resc.term import Term
 
@@ -84,18 +84,3 @@ class ControlPoints(Term):
         past = (offset * ahead).sum(-1, keepdim=True) > 0
         near = offset.square().sum(-1, keepdim=True) <= far_m**2
         return past & near & (index > 0) & (index < length - 1)
-
-
-def point_at(
-    route: Float[Tensor, "n k 3"], length: Int[Tensor, "n 1"], index: Int[Tensor, "n 1"]
-) -> Float[Tensor, "n 3"]:
-    """Control point number `index` of each route [m], the last one if there are fewer."""
-    wanted = torch.minimum(index, length - 1).unsqueeze(-1).expand(-1, 1, 3)
-    return route.gather(1, wanted)[:, 0]
-
-
-def next_two(
-    route: Float[Tensor, "n k 3"], length: Int[Tensor, "n 1"], index: Int[Tensor, "n 1"]
-) -> Float[Tensor, "n 2 3"]:
-    """The control points ahead [m]."""
-    return torch.stack((point_at(route, length, index), point_at(route, length, index + 1)), 1)
