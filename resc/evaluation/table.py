@@ -27,8 +27,8 @@ ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("energy to 0.5 m [m^2/s^5]", lambda r: _number(r.energy_m2ps5, 0)),
     ("time / bound", lambda r: _number(r.time_over_bound, 2)),
     ("energy / smooth reference", lambda r: _number(r.energy_over_smooth, 2)),
-    ("least clearance [m]", lambda r: _number(r.min_clearance_m, 2)),
-    ("  median flight [m]", lambda r: _number(r.median_clearance_m, 2)),
+    ("least clearance [m]", lambda r: _clearance(r.min_clearance_m)),
+    ("  median flight [m]", lambda r: _clearance(r.median_clearance_m)),
     ("top speed [m/s]", lambda r: _number(r.top_speed_mps, 2)),
     ("top acceleration [m/s^2]", lambda r: _number(r.top_acceleration_mps2, 2)),
     ("steps over a limit [%]", lambda r: _percent(r.over_limit_share)),
@@ -42,6 +42,7 @@ PER_SCENE = ("time to", "path", "energy to")
 """Beginnings of the rows that mean nothing over several scenes."""
 NOMINAL = Limits(speed_mps=3.0, acceleration_mps2=6.0, jerk_mps3=20.0, margin_m=0.3)
 """As in conf/limits/point_mass.yaml."""
+NOWHERE_M = 1e5
 FOOTNOTES = """\
 Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half
 height is entered. SPL: success weighted by path length, the mean of shortest / max(flown, shortest)
@@ -179,6 +180,11 @@ def _percent(share: float) -> str:
 
 def _number(value: float, digits: int) -> str:
     return f"{value:z.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _clearance(value_m: float) -> str:
+    """`-` where there is no obstacle: those of a scene without any are parked far away."""
+    return _number(value_m if value_m < NOWHERE_M else math.inf, 2)
 
 
 def _joined(outcomes: Mapping[str, int]) -> str:

@@ -47,6 +47,13 @@ def test_endless_median_is_a_dash(reports):
     assert cells(markdown(reports), "time to 0.2 m [s]") == ["-", "-", ""]
 
 
+def test_a_scene_without_obstacles_has_no_clearance():
+    text = markdown(report_scenes([table("free", least_clearance=[1.4e6] * 4), table("other")]))
+    assert cells(text, "least clearance")[0] == "-"
+    assert cells(text, "  median flight")[0] == "-"
+    assert cells(text, "least clearance")[1] != "-"
+
+
 def test_published_results_stand_beside_the_paper_scenes_only(reports):
     text = markdown(reports)
     assert cells(text, "RESC, published") == ["4.50 / 697", "", ""]
