@@ -12,6 +12,7 @@ import numpy as np
 from resc.evaluation.published import PLANNERS, PUBLISHED
 from resc.evaluation.statistics import SceneReport
 from resc.planning.time_optimal import Limits
+from resc.scenes.layout import PARKED_M
 
 ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("flights", lambda r: str(r.episodes)),
@@ -42,7 +43,6 @@ PER_SCENE = ("time to", "path", "energy to")
 """Beginnings of the rows that mean nothing over several scenes."""
 NOMINAL = Limits(speed_mps=3.0, acceleration_mps2=6.0, jerk_mps3=20.0, margin_m=0.3)
 """As in conf/limits/point_mass.yaml."""
-NOWHERE_M = 1e5
 FOOTNOTES = """\
 Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half
 height is entered. SPL: success weighted by path length, the mean of shortest / max(flown, shortest)
@@ -184,7 +184,7 @@ def _number(value: float, digits: int) -> str:
 
 def _clearance(value_m: float) -> str:
     """`-` where there is no obstacle: those of a scene without any are parked far away."""
-    return _number(value_m if value_m < NOWHERE_M else math.inf, 2)
+    return _number(value_m if value_m < PARKED_M / 2 else math.inf, 2)
 
 
 def _joined(outcomes: Mapping[str, int]) -> str:
