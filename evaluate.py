@@ -18,16 +18,16 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
-from resc.composed import compose_scenes
 from resc.console import logged
 from resc.evaluation.campaign import evaluate
-from resc.evaluation.replay import replay
 from resc.evaluation.suites import scenes_to_fly
-from resc.launch import answering, launch, refuse_doubles
-from resc.learning.checkpoint import load_policy, policy_folder
+from resc.flying.replay import replay
+from resc.policies.stored import load_policy, policy_folder
 from resc.process import prepare_process
 from resc.run_folder import claimed
 from resc.settings import check_settings, refuse_beside
+from resc.starting.composed import compose_scenes
+from resc.starting.launch import answering, launch, refuse_doubles
 
 REPLAYED = ("replay", "allowed_targets", "threads", "name")
 """Settings that a replay heeds; all others are the recording's."""

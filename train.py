@@ -18,7 +18,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
 from resc.console import logged
-from resc.launch import answering, launch, refuse_doubles
 from resc.learning.assemble import (
     build_trainer,
     check_held_out,
@@ -29,7 +28,6 @@ from resc.learning.assemble import (
 )
 from resc.learning.progress import describe
 from resc.learning.training import train_and_save
-from resc.origin import note_origin
 from resc.process import prepare_process
 from resc.run_folder import (
     CONFIG,
@@ -42,6 +40,8 @@ from resc.run_folder import (
     summary_of,
 )
 from resc.settings import check_settings
+from resc.starting.launch import answering, launch, refuse_doubles
+from resc.starting.origin import note_origin
 from resc.sweep_folder import go_on
 
 

@@ -32,9 +32,9 @@ from torch import Tensor
 from benchmarks import recording_read
 from benchmarks.measure import ROOT, Job, load, machine, sentence, write_json
 from resc.learning.assemble import build_trainer
-from resc.learning.checkpoint import load_policy
 from resc.learning.ppo import Ppo
 from resc.learning.training import record_batch
+from resc.policies.stored import load_policy
 from resc.process import prepare_process
 from resc.recording.rollouts import (
     open_recorder,

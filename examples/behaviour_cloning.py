@@ -28,14 +28,14 @@ from tqdm import trange
 from resc import schema
 from resc.build import build, build_stages
 from resc.errors import RecordingError, RescError
-from resc.evaluation.replay import recorded_config
-from resc.launch import CONF, explain
+from resc.flying.replay import recorded_config
 from resc.learning.assemble import fly_held_out
-from resc.learning.checkpoint import POLICY, save_policy
 from resc.learning.offline import replay_buffer
+from resc.policies.stored import POLICY, save_policy
 from resc.process import prepare_process
 from resc.recording import RolloutLog
 from resc.settings import check_settings
+from resc.starting.launch import CONF, explain
 
 SEES = ("env", "observation")
 """Groups of the configuration that say what the student sees."""

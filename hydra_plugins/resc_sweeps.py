@@ -1,4 +1,4 @@
-"""Hydra's door to `resc.sweeps`: the launcher of `train.py -m`.
+"""Hydra's door to `resc.sweeps.sweep`: the launcher of `train.py -m`.
 
 Hydra takes launchers and sweepers from the package `hydra_plugins` only.
 """
@@ -15,17 +15,17 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc.build import build
 from resc.errors import ConfigError
-from resc.evaluation.study import differing
-from resc.jobs import Job, Outcome
-from resc.origin import key_of, python_path, require_own_folder, says_how
+from resc.starting.origin import key_of, python_path, require_own_folder, says_how
+from resc.studies.study import differing
 from resc.sweep_folder import difference, plain
-from resc.sweeps import Backend, report, require_success, run_sweep
+from resc.sweeps.jobs import Job, Outcome
+from resc.sweeps.sweep import Backend, report, require_success, run_sweep
 
 SUBDIR = "${hydra.job.num}"
 
 
 class SweepLauncher(Launcher):
-    """Runs every job as a process of its own (`resc.sweeps`).
+    """Runs every job as a process of its own (`resc.sweeps.sweep`).
 
     Args:
         backend: Configuration of where and how many at a time.

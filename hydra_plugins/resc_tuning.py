@@ -19,10 +19,10 @@ from hydra_plugins.resc_sweeps import SweepLauncher
 from resc.build import nearest
 from resc.command_line import override
 from resc.errors import ConfigError, SweepError
-from resc.jobs import Outcome
 from resc.run_folder import SUMMARY, summary_of
 from resc.sweep_folder import go_on
-from resc.sweeps import needed, require_success
+from resc.sweeps.jobs import Outcome
+from resc.sweeps.sweep import needed, require_success
 
 DATABASE = "optuna.db"
 

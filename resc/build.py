@@ -31,8 +31,18 @@ ALLOWED = ("resc.", "torch.optim.")
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
 PROBED = 32
 """Scenes laid out to look at, before a whole pool is."""
-FUNCTIONS = ("resc.learning.networks.build_networks",)
+FUNCTIONS = ("resc.policies.networks.build_networks",)
 """Our only targets that are functions: others, `build` for one, would build what they are told."""
+
+
+MOVED = {
+    "resc.learning.networks.": "resc.policies.networks.",
+    "resc.sweeps.Joblib": "resc.sweeps.sweep.Joblib",
+    "resc.sweeps.Ray": "resc.sweeps.sweep.Ray",
+    "resc.sweeps.Serial": "resc.sweeps.sweep.Serial",
+    "resc.sweeps.Slurm": "resc.sweeps.sweep.Slurm",
+}
+"""Targets of stored configurations, by how they begin, and where they are today."""
 
 
 def build(
@@ -113,6 +123,7 @@ def _build_parts(nodes: Mapping[str, Any], path: str, allowed: Iterable[str]) ->
 
 def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]:
     """The class or function a `_target_` names, if its prefix is allowed."""
+    target = today(target)
     allowed = tuple(allowed)
     package = target.partition(".")[0]
     if not target.startswith(allowed):
@@ -144,6 +155,14 @@ def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]
     if target.startswith(ALLOWED) and not ours and target not in FUNCTIONS:
         raise ConfigError(f"{path}._target_ is '{target}', which is no class of ours; name one.")
     return found
+
+
+def today(target: str) -> str:
+    """The name that a target of a stored configuration has now."""
+    for begins, now in MOVED.items():
+        if target.startswith(begins):
+            return now + target.removeprefix(begins)
+    return target
 
 
 def build_terms(group: Any, path: str, kind: type[Term], allowed: Iterable[str] = ()) -> list[Any]:

@@ -6,11 +6,14 @@ import functools
 import json
 import math
 import os
+import platform
+import subprocess
 from collections.abc import Iterator, Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from resc.errors import ConfigError
+from resc.errors import ConfigError, RescError
 
 RUNS = "runs"
 LATEST = "latest"
@@ -83,6 +86,59 @@ def claimed(folder: Path, *, resumes: bool = False) -> Iterator[None]:
                 folder.rmdir()
 
 
+@contextlib.contextmanager
+def replacing(
+    path: Path,
+    error: type[RescError] = ConfigError,
+    advice: str = "choose another folder or free some space",
+) -> Iterator[Path]:
+    """Gives the name of a file to write, which takes the place of `path` once it is whole.
+
+    Its folder is made if it is missing. After an error the file is removed, and what was at `path`
+    stays.
+
+    Raises:
+        RescError: It cannot be written, for one because the disk is full: an `error` with `advice`.
+    """
+    unfinished = path.with_name(f".{path.name}.part")
+    places = [str(place) for place in (path, *path.parents)]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.unlink(missing_ok=True)
+        yield unfinished
+        unfinished.replace(path)
+    except OSError as failure:
+        # Errors while writing name no file; those of other files, such as the input, name it.
+        name = str(failure.filename or unfinished)
+        if not name.startswith(str(unfinished)) and name not in places:
+            raise
+        reason = os.strerror(failure.errno) if failure.errno else str(failure)
+        raise error(f"{path} cannot be written ({reason}); {advice}.") from failure
+    finally:
+        with contextlib.suppress(OSError):
+            unfinished.unlink(missing_ok=True)
+
+
+def provenance() -> dict[str, str]:
+    """Commit, versions and machine that made a file."""
+    return {
+        "git_commit": git("rev-parse", "HEAD") or "unknown",
+        "git_dirty": str(bool(git("status", "--porcelain"))).lower(),
+        **{f"{name}_version": version(name) for name in ("torch", "torchrl", "tensordict", "mcap")},
+        "python_version": platform.python_version(),
+    }
+
+
+def git(*arguments: str) -> str:
+    """What git says of RESC's own repository; nothing where there is none, or no quick git."""
+    command: list[Any] = ["git", "-C", Path(__file__).parent, *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
+    except (FileNotFoundError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip()
+
+
 def finish_run(folder: Path, summary: Mapping[str, Any], kind: Kind) -> None:
     """Writes summary.json into the folder and points the links of its kind to it.
 
@@ -90,9 +146,8 @@ def finish_run(folder: Path, summary: Mapping[str, Any], kind: Kind) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n"
-    temporary = folder / f".{SUMMARY}.tmp"
-    temporary.write_text(text)
-    temporary.replace(folder / SUMMARY)
+    with replacing(folder / SUMMARY) as part:
+        part.write_text(text)
     link_latest(folder, kind)
 
 

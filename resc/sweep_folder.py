@@ -1,6 +1,6 @@
 """The folder of a sweep: the command that began it, and what each of its runs was begun as.
 
-Imports no torch: see `resc.jobs`.
+Imports no torch: see `resc.sweeps.jobs`.
 """
 
 import json

@@ -13,14 +13,24 @@ from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from older_format import as_format_3  # noqa: F401 - fixtures for every test
 from omegaconf import DictConfig, OmegaConf
+from short_courses import (  # noqa: F401
+    corridor,
+    evaluation,
+    flying,
+    planner,
+    policy,
+    policy_for,
+    stored,
+)
 
 import resc.schema
 from resc.build import build_env, build_pool, build_stages
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
-from resc.launch import launch
 from resc.planning.route import planner_for
+from resc.starting.launch import launch
 
 CONF = Path(__file__).parents[1] / "conf"
 SLOW_S = 900

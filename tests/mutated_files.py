@@ -12,17 +12,17 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc.build import load_config
 from resc.errors import RescError
-from resc.evaluation.ablation_analysis import analyse
-from resc.evaluation.replay import fly_again
-from resc.evaluation.study import read_sweep
+from resc.flying.replay import fly_again
 from resc.learning.assemble import build_trainer, fly_held_out, restore, resumed
-from resc.learning.checkpoint import load_policy
 from resc.learning.progress import ProgressTable
 from resc.learning.training import train_and_save
+from resc.log_command import main as resc_log
+from resc.policies.stored import load_policy
 from resc.process import prepare_process
-from resc.recording.commands import main as resc_log
 from resc.recording.reader import RolloutLog
 from resc.run_folder import finish_run, is_finished, succeeded, summary_of
+from resc.studies.ablation_analysis import analyse
+from resc.studies.study import read_sweep
 
 OVERRIDES = (["seed=0"], ["seed=1"])
 TRASH = {

@@ -34,9 +34,9 @@ from resc.evaluation.courses import lay_out
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.evaluation.suites import amounts_of
 from resc.learning.assemble import build_trainer
-from resc.learning.checkpoint import load_policy
 from resc.learning.progress import describe
 from resc.planning.route import planner_for
+from resc.policies.stored import load_policy
 from resc.process import prepare_process
 from resc.recording.rollouts import open_recorder
 from resc.schema import EvaluateSchema, TrainSchema

@@ -128,7 +128,7 @@ CASES = [
     *(("train.py", (*SMALL, "hydra.run.dir=run", text), word) for text, word in TRAINING.items()),
     ("train.py", (*SMALL, "hydra.run.dir=/proc/nope"), "/proc/nope"),
     *(("evaluate.py", ("hydra.run.dir=run", text), word) for text, word in EVALUATING.items()),
-    *(("resc/recording/__main__.py", text.split(), word) for text, word in LOGS.items()),
+    *(("resc/log_command/__main__.py", text.split(), word) for text, word in LOGS.items()),
 ]
 
 

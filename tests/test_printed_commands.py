@@ -15,12 +15,12 @@ from omegaconf import OmegaConf
 
 from resc.command_line import command, override
 from resc.errors import ConfigError, SweepError
-from resc.evaluation.ablation import write_report
-from resc.evaluation.held_out import read_episodes
-from resc.jobs import Job, Outcome
-from resc.launch import quoted_paths, resumed_sweep
-from resc.origin import claim
-from resc.sweeps import require_success
+from resc.flying.held_out import read_episodes
+from resc.starting.launch import quoted_paths, resumed_sweep
+from resc.starting.origin import claim
+from resc.studies.ablation import write_report
+from resc.sweeps.jobs import Job, Outcome
+from resc.sweeps.sweep import require_success
 
 ROOT = Path(__file__).parents[1]
 COMMAND = re.compile(r"python \S+\.py |\b(resume|policy|replay|run\.dir|sweep\.dir)=$")

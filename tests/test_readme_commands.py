@@ -20,8 +20,17 @@ SHIPPED = ("evaluate.py", "scenes=free", "flights=1")
 REPLAY = ("evaluate.py", "replay=runs/latest_train/rollouts#3")
 HELD_OUT = ("evaluate.py", "replay=runs/latest_train/held_out#1")
 RESUME = ("train.py", "resume=latest")
-INFO = ("-m", "resc.recording", "info", "runs/latest_train")
-SCENE = ("-m", "resc.recording", "scene", "runs/latest_train", "--episode", "3", "--out", "a.mcap")
+INFO = ("-m", "resc.log_command", "info", "runs/latest_train")
+SCENE = (
+    "-m",
+    "resc.log_command",
+    "scene",
+    "runs/latest_train",
+    "--episode",
+    "3",
+    "--out",
+    "a.mcap",
+)
 ORDERS = {
     "one after the other": (TRAIN, RESUME, EVALUATE, REPLAY, HELD_OUT, INFO, SCENE),
     "backwards": (TRAIN, SCENE, INFO, HELD_OUT, REPLAY, EVALUATE, RESUME),

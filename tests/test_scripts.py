@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from resc.launch import launch
+from resc.starting.launch import launch
 
 ROOT = Path(__file__).parents[1]
 
@@ -29,7 +29,7 @@ def unread(*arguments):
 
 def test_what_shows_something_ends_quietly_where_its_reader_has_left():
     assert unread("train.py", "--info", "defaults") == ("", -signal.SIGPIPE)
-    assert unread("-m", "resc.recording", "--help")[0] == ""
+    assert unread("-m", "resc.log_command", "--help")[0] == ""
 
 
 def test_warnings_of_other_packages_stay_out_of_the_progress_bar(monkeypatch):

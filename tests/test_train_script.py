@@ -11,14 +11,14 @@ from test_ppo import SMALL
 
 import train as script
 from resc.errors import CheckpointError, ConfigError, TermError
-from resc.evaluation.held_out import read_episodes
-from resc.launch import in_its_folder, resumed_sweep
+from resc.flying.held_out import read_episodes
 from resc.learning.assemble import resumed
-from resc.learning.checkpoint import load_policy
+from resc.policies.stored import load_policy
 from resc.recording.reader import RolloutLog
 from resc.run_folder import is_finished, summary_of
 from resc.schema import TrainSchema
 from resc.settings import check_settings, refuse_beside
+from resc.starting.launch import in_its_folder, resumed_sweep
 
 BUDGET = 256
 RUN = [
@@ -257,7 +257,7 @@ def test_failing_held_out_flights_leave_the_policy_and_say_how_to_fly_them(
 def test_parts_of_a_package_of_ones_own_fly_to_the_end(compose, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(
         "from dataclasses import dataclass\n"
-        "from resc.learning.networks import build_networks as networks\n"
+        "from resc.policies.networks import build_networks as networks\n"
         "from resc.learning.ppo import PpoSettings\n"
         "from resc.learning.progress import CsvLogger\n"
         "from resc.recording.writer import RolloutRecorder\n"

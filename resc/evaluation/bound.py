@@ -20,7 +20,6 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
-from resc.composed import compose_scenes, given
 from resc.console import logged
 from resc.errors import ConfigError, PlanningError
 from resc.evaluation.courses import drawn
@@ -36,14 +35,14 @@ from resc.evaluation.references import (
 )
 from resc.evaluation.suites import Amount, amounts_of, scenes_to_fly
 from resc.evaluation.table import aligned
-from resc.launch import launch_here
 from resc.planning.route import RoutePlanner, planner_for
 from resc.planning.time_optimal import Crossing, Limits, solve, solver
 from resc.planning.visibility_search import PlannedPath
 from resc.process import prepare_process
-from resc.recording.rollouts import provenance
-from resc.run_folder import finish_run
+from resc.run_folder import finish_run, provenance
 from resc.settings import check_settings
+from resc.starting.composed import compose_scenes, given
+from resc.starting.launch import launch_here
 
 HEADER = ("scene", "path [m]", "bound [s]", "energy", "smooth [s]", "energy", "solved in [s]")
 NOTE = """\

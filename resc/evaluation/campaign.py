@@ -12,7 +12,6 @@ from omegaconf import OmegaConf
 from resc.errors import ConfigError, RecordingError
 from resc.evaluation.commanded import commanded, commanded_scenes
 from resc.evaluation.courses import Course, lay_out
-from resc.evaluation.flights import Flights, fly_recorded
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
 from resc.evaluation.references import (
@@ -29,11 +28,11 @@ from resc.evaluation.setting import build_flying_env, settings_for
 from resc.evaluation.statistics import asked, join, report_scenes, tabulate
 from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
-from resc.learning.checkpoint import Policy
+from resc.flying.flights import Flights, fly_recorded
 from resc.planning.route import planner_for
 from resc.planning.time_optimal import Limits
-from resc.recording.rollouts import provenance
-from resc.run_folder import POLICY, finish_run
+from resc.policies.stored import Policy
+from resc.run_folder import POLICY, finish_run, provenance
 
 ROLLOUTS, SCENES = "rollouts", "scenes"
 NO_MATTER = ("name", "threads", "policy")

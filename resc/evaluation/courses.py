@@ -63,18 +63,6 @@ class Course:
         return len(np.unique(self.number))
 
 
-class LaidOut:
-    """A scene that is laid out already: hands its layout to the pool."""
-
-    def __init__(self, layout: Layout) -> None:
-        self.layout = layout
-
-    def sample(self, count: int, generator: torch.Generator) -> Layout:
-        """The layout, all of it; nothing is drawn."""
-        assert count == len(self.layout), f"{count} of {len(self.layout)} scenes wanted"
-        return self.layout
-
-
 def lay_out(
     scenes: Mapping[str, Mapping[str, Any]],
     amounts: Mapping[str, Amount] | int,

@@ -8,30 +8,28 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle
 
-from resc.evaluation.colours import (
+from resc.evaluation.courses import Course
+from resc.evaluation.references import Reference
+from resc.evaluation.statistics import SceneReport
+from resc.flying.flights import Flights
+from resc.maps.cells import extent_of, shape_of
+from resc.maps.distance_transform import distance_transform
+from resc.scenes.layout import rasterize
+from resc.viewing.colours import (
     BACKGROUND,
     BOUND,
     COLLISION,
     DASHES,
     FRAME,
     LOST,
-    OBSTACLE,
     PLAN,
     SPEED,
     TEXT,
 )
-from resc.evaluation.courses import Course
-from resc.evaluation.flights import Flights
-from resc.evaluation.references import Reference
-from resc.evaluation.statistics import SceneReport
-from resc.maps.cells import extent_of, shape_of
-from resc.maps.distance_transform import distance_transform
-from resc.scenes.layout import Layout, rasterize
+from resc.viewing.map_picture import SHADE_M, draw_obstacles
 
-SHADE_M = 1.5
-"""Distance from which on the background no longer changes."""
 CROP_M, MARGIN_M = 6.0, 1.0
 """Least edge and margin of the part shown of a map that is mostly empty."""
 
@@ -123,14 +121,6 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
         axes.add_collection(lines)
     _draw_ends(axes, panel, mark_scale)
     _dress(axes, panel)
-
-
-def draw_obstacles(axes: Axes, layout: Layout, number: int) -> None:
-    """Boxes and pillars of one scene of a batch."""
-    boxes = [Rectangle((x, y), lx, ly) for x, y, lx, ly in layout.boxes_w[number].tolist()]
-    pillars = [Circle((x, y), radius) for x, y, radius in layout.pillars_w[number].tolist()]
-    obstacles = PatchCollection([*boxes, *pillars], facecolor=OBSTACLE, edgecolor="none")
-    axes.add_collection(obstacles)
 
 
 def trace(

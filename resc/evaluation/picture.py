@@ -11,10 +11,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from resc.evaluation.colours import BOUND, COLLISION, DASHES, LOST, PLAN, SPEED
 from resc.evaluation.panel import Flown, Panel, draw_panel
 from resc.evaluation.statistics import SceneReport
 from resc.evaluation.worst import slowness, worst_maps
+from resc.viewing.colours import BOUND, COLLISION, DASHES, LOST, PLAN, SPEED
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

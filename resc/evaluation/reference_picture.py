@@ -11,8 +11,8 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.patches import Circle, Rectangle
 
-from resc.evaluation.colours import BOUND, FRAME, OBSTACLE, PLAN, SPEED, TEXT
 from resc.evaluation.references import Reference
+from resc.viewing.colours import BOUND, FRAME, OBSTACLE, PLAN, SPEED, TEXT
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -21,6 +21,7 @@ from resc.build import build
 from resc.errors import ConfigError
 from resc.planning.time_optimal import FASTEST, SMOOTH, Crossing, Limits
 from resc.planning.trajectory import Trajectory
+from resc.run_folder import replacing
 from resc.scenes.layout import Layout
 
 STORED = Path(__file__).parents[2] / "docs" / "results" / "references.json"
@@ -151,10 +152,8 @@ def keep(reference: Reference, path: Path | None = None) -> Reference:
         for name, entry in sorted(kept.items())
     ]
     text = f'{{"format": {FORMAT}, "references": {{\n' + ",\n".join(lines) + "\n}}\n"
-    stored.parent.mkdir(parents=True, exist_ok=True)
-    temporary = stored.with_suffix(".tmp")
-    temporary.write_text(text)
-    temporary.replace(stored)
+    with replacing(stored) as part:
+        part.write_text(text)
     return reference
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import polars as pl
 
 from resc.evaluation.courses import Course
-from resc.recording.foxglove import write_scene
 from resc.recording.reader import RolloutLog
+from resc.viewing.foxglove import write_scene
 
 Recorded = Mapping[Path, Sequence[Course]]
 """The courses whose flights are in each folder of recordings, one environment after the other."""

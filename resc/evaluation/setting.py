@@ -7,8 +7,9 @@ import torch
 
 from resc.build import build_env
 from resc.envs.quadrotor import QuadrotorEnv
-from resc.evaluation.courses import Course, LaidOut
+from resc.evaluation.courses import Course
 from resc.math.sampling import generator_for
+from resc.scenes.laid_out import LaidOut
 from resc.scenes.layout import concatenate
 from resc.scenes.pool import ScenePool
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from resc.evaluation.courses import Course
-from resc.evaluation.flights import Flights
 from resc.evaluation.references import Reference
+from resc.flying.flights import Flights
 from resc.planning.time_optimal import Limits
 
 Z_95 = 1.959964

@@ -11,17 +11,12 @@ from resc.build import build, build_env, build_pool, build_terms, load_config
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.envs.stages import Stages
 from resc.errors import ConfigError
-from resc.evaluation.flights import Flights, fly_recorded, require_time_limit
-from resc.evaluation.held_out import held_out_rules, tabulate_episodes, write_episodes
-from resc.learning.checkpoint import (
-    load_checkpoint,
-    load_policy,
-    load_weights,
-    policy_folder,
-    require_same_layout,
-)
+from resc.flying.flights import Flights, fly_recorded, require_time_limit
+from resc.flying.held_out import held_out_rules, tabulate_episodes, write_episodes
+from resc.learning.checkpoint import load_checkpoint
 from resc.learning.ppo import Ppo
 from resc.planning.route import planner_for
+from resc.policies.stored import load_policy, load_weights, policy_folder, require_same_layout
 from resc.run_folder import (
     CHECKPOINT,
     CONFIG,

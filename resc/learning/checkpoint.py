@@ -1,36 +1,16 @@
-"""Checkpoints that resume bit for bit, and small policy files.
+"""Checkpoints that resume bit for bit; they are data, loaded without running code."""
 
-Both are data, loaded without running code.
-"""
-
-import io
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from itertools import zip_longest
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-from jaxtyping import Float
-from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict
-from torch import Tensor, nn
 
-from resc.build import build, load_config
-from resc.command_line import command
 from resc.envs.quadrotor import layout_of
-from resc.envs.stages import Stages
 from resc.errors import CheckpointError
-from resc.learning.networks import Networks
 from resc.learning.ppo import Ppo
-from resc.run_folder import CHECKPOINT, CONFIG, LATEST, POLICY, latest
-from resc.settings import fingerprint
+from resc.policies.stored import fitting, read, require_same_run, write_atomically
 
-Layout = tuple[tuple[str, int], ...]
-ACTION_WIDTH = 4
-"""Of policies stored before their files said it."""
 NEEDED = (
     "actor",
     "critic",
@@ -42,180 +22,6 @@ NEEDED = (
     "curricula",
 )
 """Without these a file is no checkpoint."""
-
-
-@dataclass(frozen=True)
-class Policy:
-    """A trained policy with all that is needed to fly it.
-
-    Args:
-        head: The network, its normalisation of the observation included.
-        layout: Names and widths of the observation's blocks.
-        config: The resolved configuration it was trained with: data, not code.
-    """
-
-    head: nn.Module
-    layout: Layout
-    config: DictConfig
-
-    @torch.no_grad()
-    def __call__(self, observation: Float[Tensor, "n d"]) -> Float[Tensor, "n a"]:
-        """The mean action, clipped to [-1, 1]."""
-        return self.head(observation)[0].clamp(-1, 1)
-
-    def require_layout(self, stages: Stages) -> None:
-        """Raises CheckpointError, naming the first difference, if observations differ."""
-        require_same_layout(self.layout, stages)
-
-
-def require_same_layout(trained: Sequence[tuple[str, int]], stages: Stages) -> None:
-    """Raises CheckpointError, naming the first difference, if observations are not those."""
-    given = layout_of(stages)
-    blocks = zip_longest(trained, given, fillvalue=("nothing", 0))
-    for number, (ours, theirs) in enumerate(blocks):
-        if ours != theirs:
-            raise CheckpointError(
-                f"The policy was trained on {ours[0]} ({ours[1]} numbers) as observation block "
-                f"{number}, but the environment gives {theirs[0]} ({theirs[1]}); fly it with the "
-                "observation of its own config.yaml."
-            )
-
-
-def save_policy(folder: Path, networks: Networks, stages: Stages, config: DictConfig) -> None:
-    """Writes policy.pt (weights and layout) and config.yaml into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    state = {name: value.cpu() for name, value in networks.head.state_dict().items()}
-    value = {name: value.cpu() for name, value in networks.critic.state_dict().items()}
-    seen = {name: value.cpu() for name, value in networks.normalization.state_dict().items()}
-    content = {
-        "head": state,
-        "critic": value,
-        "normalization": seen,
-        "layout": [list(block) for block in layout_of(stages)],
-        "action_width": stages.terms.action.width,
-        "made_with": fingerprint(config),
-    }
-    write_atomically(folder / POLICY, content)
-    OmegaConf.save(config, folder / CONFIG, resolve=True)
-
-
-def policy_folder(text: str, setting: str) -> Path:
-    """The folder that `policy` or `init_from` names: `latest` is the last run that was trained.
-
-    One that the working directory lacks may be RESC's own: policies/obstacles.
-    """
-    if text == LATEST:
-        return latest(setting, "train")
-    ours = Path(__file__).parents[2] / text
-    return ours if ours.exists() and not Path(text).exists() else Path(text)
-
-
-def load_weights(folder: Path, networks: Networks, stages: Stages) -> None:
-    """Puts the weights of a stored policy, value function and normalisation included, into others.
-
-    Raises:
-        CheckpointError: A file is missing, cut short or foreign, or it is of another observation
-            or other networks.
-    """
-    if not (folder / POLICY).exists():
-        raise CheckpointError(f"{folder} holds no {POLICY}; {_where_else(folder)}.")
-    content = read(folder / POLICY, ("head", "critic", "layout"))
-    require_same_layout([(str(name), int(width)) for name, width in content["layout"]], stages)
-    config = load_config(folder / CONFIG)
-    _require_same_input(folder, config, stages)
-    try:
-        networks.head.load_state_dict(content["head"])
-        networks.critic.load_state_dict(content["critic"])
-        networks.normalization.load_state_dict(content.get("normalization", {}))
-    except RuntimeError:
-        raise CheckpointError(
-            f"The networks of {folder} are not those of this run; give it the same: model is "
-            f"{config.get('model')} there."
-        ) from None
-
-
-def _require_same_input(folder: Path, config: Mapping[str, Any], stages: Stages) -> None:
-    """The frame and the scales that the weights were trained with, as far as they are stored."""
-    frame = (config.get("env") or {}).get("observation_frame", "world")
-    facts: dict[str, tuple[Any, Any]] = {
-        "env.observation_frame": (frame, stages.context.observation_frame)
-    }
-    stored = config.get("observation") or {}
-    for term in stages.terms.observations:
-        scale = (stored.get(term.name) or {}).get("scale", 1.0)
-        facts[f"observation.{term.name}.scale"] = (scale, term.scale)
-    for name, (trained, given) in facts.items():
-        if trained != given:
-            raise CheckpointError(
-                f"The policy of {folder} was trained with {name}={trained}, this run has {given}; "
-                "give it the same."
-            )
-
-
-def load_policy(
-    folder: Path, device: torch.device | str = "cpu", allowed: Sequence[str] = ()
-) -> Policy:
-    """The policy of a run folder or of a shipped policy's folder.
-
-    Targets outside resc are built if one of the prefixes `allowed` covers them.
-
-    Raises:
-        CheckpointError: A file is missing, cut short or foreign.
-        ConfigError: The stored configuration asks for something that is not allowed.
-    """
-    folder = Path(folder)
-    if not (folder / POLICY).exists():
-        raise CheckpointError(
-            f"{folder} holds no {POLICY}; {_where_else(folder)}, or policies/obstacles."
-        )
-    content = read(folder / POLICY, ("head", "layout"))
-    config = load_config(folder / CONFIG)
-    if "model" not in config:
-        raise CheckpointError(f"{folder / CONFIG} lacks model; restore it from its run.")
-    with _fitting(folder / POLICY):
-        layout = tuple((str(name), int(width)) for name, width in content["layout"])
-        networks = build(
-            config["model"],
-            "model",
-            allowed=allowed,
-            observation_width=sum(width for _, width in layout),
-            action_width=int(content.get("action_width", ACTION_WIDTH)),
-        )
-        networks.head.load_state_dict(content["head"])
-        networks.normalization.load_state_dict(content.get("normalization", {}))
-    _require_same_run(content, fingerprint(config), folder / POLICY)
-    return Policy(networks.policy.to(device).eval(), layout, config)
-
-
-def _where_else(folder: Path) -> str:
-    """Which folder to give instead of one that holds no policy."""
-    if run := next(iter(sorted(folder.glob(f"[0-9]*/{POLICY}"))), None):
-        return f"it is a sweep's: give one of its runs, such as {run.parent}"
-    if (folder / CONFIG).exists() and "total_frames" not in load_config(folder / CONFIG):
-        return (
-            "it is an evaluation's: give policy=latest for the last training, the folder of a run"
-        )
-    if (folder / CHECKPOINT).exists():
-        again = command("train.py", {"resume": folder})
-        return f"its training was killed: go on with {again}, or give the folder of another run"
-    return "give the folder of a finished run"
-
-
-@contextmanager
-def _fitting(path: Path) -> Iterator[None]:
-    """Says of a file, whose content the program does not take, that it does not fit."""
-    try:
-        yield
-    except (RuntimeError, KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
-        mismatch = "size mismatch" in str(error) or "state_dict" in str(error)
-        reason = "its networks are others" if mismatch else _first_line(error)
-        raise CheckpointError(
-            f"{path} does not fit {CONFIG} beside it ({reason}); restore both from one run."
-        ) from None
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:120]
 
 
 def save_checkpoint(path: Path, trainer: Ppo) -> None:
@@ -262,18 +68,9 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
             f"{path} holds {content['observation'].shape[0]} environments, this run has "
             f"{env.num_envs}; set num_envs."
         )
-    _require_same_run(content, trainer.made_with, path)
-    with _fitting(path):
+    require_same_run(content, trainer.made_with, path)
+    with fitting(path):
         _take(content, trainer)
-
-
-def _require_same_run(content: Mapping[str, Any], made_with: str, path: Path) -> None:
-    """Refuses weights of another run; older files do not say whose they are."""
-    if content.get("made_with") and made_with and content["made_with"] != made_with:
-        raise CheckpointError(
-            f"{path} is of a run with other settings than {CONFIG} beside it; restore both from "
-            "one run."
-        )
 
 
 def _take(content: Mapping[str, Any], trainer: Ppo) -> None:
@@ -293,38 +90,3 @@ def _take(content: Mapping[str, Any], trainer: Ppo) -> None:
     env.world = TensorDict(world, batch_size=[env.num_envs], device=env.device)
     env.observation = content["observation"].to(env.device)
     env.load_generator_states({name: state.cpu() for name, state in content["generators"].items()})
-
-
-def write_atomically(path: Path, content: Mapping[str, Any]) -> None:
-    """Writes a torch file so that a crash leaves the old one or the new one, never half of one."""
-    buffer = io.BytesIO()
-    torch.save(dict(content), buffer)
-    temporary = path.with_suffix(".tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(buffer.getbuffer())
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
-        raise CheckpointError(
-            f"{path} cannot be written ({error.strerror}); make room, then go on."
-        ) from None
-
-
-def read(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
-    """A torch file's content, read as data only."""
-    if not path.exists():
-        raise CheckpointError(f"{path} does not exist; give the folder of an interrupted run.")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # foreign bytes make the unpickler raise anything
-        raise CheckpointError(
-            f"{path} cannot be read ({_first_line(error)}); it is cut short, not a RESC file, or "
-            "holds code."
-        ) from None
-    if not isinstance(content, dict) or any(name not in content for name in names):
-        raise CheckpointError(f"{path} lacks {', '.join(names)}; it was not written by RESC.")
-    return content

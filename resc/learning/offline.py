@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from resc import keys
 from resc.errors import RecordingError
-from resc.evaluation.replay import environment_in, recorded_config
+from resc.flying.replay import environment_in, recorded_config
 from resc.recording.columns import FLAGS, require_columns
 from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import TRAJECTORY, Selection

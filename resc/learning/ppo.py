@@ -19,11 +19,11 @@ from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import World
 from resc.errors import ConfigError, NumericalError
+from resc.flying.diagnosis import largest_reward, require_finite
+from resc.flying.episodes import RENEWED, EpisodeStatistics
 from resc.learning.curriculum import Curricula
-from resc.learning.diagnosis import largest_reward, require_finite
-from resc.learning.networks import Networks, RunningNormalization
-from resc.learning.statistics import EpisodeStatistics
 from resc.math.sampling import generator_for
+from resc.policies.networks import Networks, RunningNormalization
 from resc.process import require_memory
 from resc.quantities import Count, NotNegative, Number, Positive, Share, Within
 from resc.term import Curriculum
@@ -31,8 +31,6 @@ from resc.term import Curriculum
 RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
 """State before each step that a rollout keeps, beside what the update needs."""
 HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
-RENEWED = "scene_renewed"
-"""Outcome of an episode cut because its scene was laid out anew."""
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,11 @@ from tqdm import tqdm
 
 from resc.build import build
 from resc.errors import CheckpointError, RecordingError, RescError
-from resc.learning.checkpoint import save_checkpoint, save_policy
-from resc.learning.ppo import RENEWED, Ppo
+from resc.flying.episodes import RENEWED
+from resc.learning.checkpoint import save_checkpoint
+from resc.learning.ppo import Ppo
 from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
+from resc.policies.stored import save_policy
 from resc.recording.rollouts import (
     open_recorder,
     record_world,

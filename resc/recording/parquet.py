@@ -7,9 +7,10 @@ import polars as pl
 from pyarrow import parquet
 from tqdm import tqdm
 
-from resc.recording.output import replacing
+from resc.errors import RecordingError
 from resc.recording.reader import RolloutLog
 from resc.recording.selection import Selection
+from resc.run_folder import replacing
 
 _ENCODINGS = {
     pl.Float32: "BYTE_STREAM_SPLIT",
@@ -33,7 +34,7 @@ def write_parquet(log: RolloutLog | Selection, path: Path) -> int:
     schema = first.to_arrow().schema.with_metadata(log.metadata)
     encodings = {name: _ENCODINGS[kind.base_type()] for name, kind in first.schema.items()}
     with (
-        replacing(path) as unfinished,
+        replacing(path, RecordingError) as unfinished,
         parquet.ParquetWriter(
             unfinished,
             schema,

@@ -14,11 +14,11 @@ from resc.recording import wire
 from resc.recording.decode import Batch, batches, read_environments
 from resc.recording.events import before, decode_arrays, encode_arrays
 from resc.recording.history import joined
-from resc.recording.output import replacing
 from resc.recording.records import ChunkRef
 from resc.recording.schema import ROLLOUT, STARTS
 from resc.recording.segments import ACTIVE, FileHead, Message, Segment
 from resc.recording.source import Source, open_source
+from resc.run_folder import replacing
 
 _CODECS = {"": "none"}
 """Names of compressions where MCAP and the recorder do not agree."""
@@ -142,7 +142,7 @@ def _write(sources: Sequence[Source], head: FileHead, target: Path, done: Rewrit
     codec = pieces[0].chunks[0].codec if pieces else ""
     total = sum(chunk.length for piece in pieces for chunk in piece.chunks)
     with (
-        replacing(target) as unfinished,
+        replacing(target, RecordingError) as unfinished,
         tqdm(total=total, unit="B", unit_scale=True, disable=None, leave=False) as bar,
     ):
         segment = Segment(unfinished, head, _CODECS.get(codec, codec))

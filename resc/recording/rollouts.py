@@ -1,12 +1,8 @@
 """Which columns a rollout of the environment has, and the recorder for them."""
 
 import hashlib
-import platform
-import subprocess
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -19,6 +15,7 @@ from resc.envs.stages import Stages, World
 from resc.recording.columns import usual_columns
 from resc.recording.schema import SAMPLED_ACTION, Column
 from resc.recording.writer import RolloutRecorder
+from resc.run_folder import provenance
 from resc.scenes.pool import ScenePool
 
 
@@ -117,23 +114,3 @@ def digest(policy: nn.Module) -> str:
     for name, value in policy.state_dict().items():
         found.update(name.encode() + value.cpu().numpy().tobytes())
     return found.hexdigest()
-
-
-def provenance() -> dict[str, str]:
-    """Commit, versions and machine that made a file."""
-    commit = _git("rev-parse", "HEAD")
-    return {
-        "git_commit": commit or "unknown",
-        "git_dirty": str(bool(_git("status", "--porcelain"))).lower(),
-        **{f"{name}_version": version(name) for name in ("torch", "torchrl", "tensordict", "mcap")},
-        "python_version": platform.python_version(),
-    }
-
-
-def _git(*arguments: str) -> str:
-    command: list[Any] = ["git", "-C", Path(__file__).parent, *arguments]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
-    except (FileNotFoundError, subprocess.TimeoutExpired):  # there is no git, or no quick one
-        return ""
-    return done.stdout.strip()

@@ -14,8 +14,8 @@ from resc.evaluation.campaign import evaluate
 from resc.evaluation.courses import drawn
 from resc.evaluation.references import Reference, crossings, keep, limits_of
 from resc.evaluation.suites import Amount
-from resc.learning.checkpoint import Policy
 from resc.planning.trajectory import Trajectory
+from resc.policies.stored import Policy
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import digest
 

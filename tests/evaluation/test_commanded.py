@@ -12,11 +12,11 @@ from resc.evaluation.campaign import evaluate
 from resc.evaluation.commanded import commanded, commanded_scenes, dial_of
 from resc.evaluation.courses import lay_out
 from resc.evaluation.references import limits_of
-from resc.evaluation.replay import fly_again
 from resc.evaluation.setting import build_flying_env, settings_for
+from resc.flying.replay import fly_again
 from resc.planning.route import planner_for
-from resc.recording.plot import inflation_m
 from resc.recording.reader import RolloutLog
+from resc.viewing.plot import inflation_m
 
 CORRIDOR = {
     "_target_": "resc.scenes.named.NamedScene",

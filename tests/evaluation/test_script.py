@@ -10,7 +10,7 @@ import pytest
 
 from resc.build import build, build_stages
 from resc.envs.quadrotor import layout_of
-from resc.learning.checkpoint import save_policy
+from resc.policies.stored import save_policy
 
 ROOT = Path(__file__).parents[2]
 

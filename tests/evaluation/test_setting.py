@@ -7,7 +7,7 @@ from resc import keys
 from resc.errors import CheckpointError
 from resc.evaluation.courses import lay_out
 from resc.evaluation.setting import build_flying_env, settings_for
-from resc.learning.checkpoint import Policy
+from resc.policies.stored import Policy
 
 FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
 

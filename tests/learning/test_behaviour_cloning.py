@@ -7,7 +7,7 @@ from omegaconf import OmegaConf
 from street import fly_street
 
 from examples import behaviour_cloning
-from resc.learning.checkpoint import load_policy
+from resc.policies.stored import load_policy
 from resc.recording.segments import FileHead, Segment
 from resc.recording.source import open_source
 

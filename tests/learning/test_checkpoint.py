@@ -8,14 +8,8 @@ from test_ppo import SMALL
 
 from resc.errors import CheckpointError, ConfigError
 from resc.learning.assemble import build_trainer
-from resc.learning.checkpoint import (
-    CONFIG,
-    POLICY,
-    load_checkpoint,
-    load_policy,
-    save_checkpoint,
-    save_policy,
-)
+from resc.learning.checkpoint import load_checkpoint, save_checkpoint
+from resc.policies.stored import CONFIG, POLICY, load_policy, save_policy
 
 
 class Hostile:
@@ -102,7 +96,7 @@ def test_hostile_policy_file_runs_no_code(folder, tmp_path, writer):
 def test_hostile_stored_config_runs_no_code(folder, tmp_path):
     trace = tmp_path / "trace"
     text = (folder / CONFIG).read_text()
-    hostile = text.replace("resc.learning.networks.build_networks", "os.system")
+    hostile = text.replace("resc.policies.networks.build_networks", "os.system")
     (folder / CONFIG).write_text(hostile + f"\ncommand: touch {trace}\n")
     with pytest.raises(ConfigError, match=r"'os\.system', outside"):
         load_policy(folder)

@@ -8,10 +8,10 @@ from test_ppo import SMALL, weights
 from resc import keys
 from resc.build import build_terms
 from resc.errors import ConfigError
+from resc.flying.episodes import EpisodeStatistics
 from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.learning.progress import draw_learning_curve
-from resc.learning.statistics import EpisodeStatistics
 from resc.term import Curriculum
 
 FIXED = "resc.terms.curricula.fixed.Fixed"

@@ -9,7 +9,8 @@ from test_ppo import SMALL, weights
 
 from resc.errors import CheckpointError, ConfigError
 from resc.learning.assemble import build_trainer, first_weights, restore
-from resc.learning.checkpoint import save_checkpoint, save_policy
+from resc.learning.checkpoint import save_checkpoint
+from resc.policies.stored import save_policy
 from resc.run_folder import CHECKPOINT, JOB
 from resc.settings import fingerprint
 

@@ -10,11 +10,12 @@ from omegaconf import OmegaConf
 from test_ppo import SMALL
 
 from resc.errors import ConfigError, RecordingError
-from resc.evaluation.replay import fly_again
+from resc.flying.replay import fly_again
 from resc.learning.assemble import build_trainer, fly_held_out, resumed
-from resc.learning.checkpoint import load_checkpoint, save_policy
+from resc.learning.checkpoint import load_checkpoint
 from resc.learning.progress import CsvLogger, ProgressTable, describe, draw_learning_curve
 from resc.learning.training import train
+from resc.policies.stored import save_policy
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import open_recorder
 from resc.run_folder import CHECKPOINT, CONFIG

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from resc.build import build_env
-from resc.evaluation.flights import fly
+from resc.flying.flights import fly
 from resc.recording import Column, RolloutLog, RolloutRecorder
 from resc.recording.rollouts import open_recorder
 from resc.scenes.layout import Layout

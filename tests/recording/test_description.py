@@ -12,7 +12,7 @@ from resc.recording.schema import FIELDS, SCHEMA_NAMES, Column
 from resc.recording.specification import chosen_columns
 
 PAGE = Path(__file__).parents[2] / "docs" / "recording.md"
-BEGIN, END = "<!-- python -m resc.recording schema -->", "<!-- end -->"
+BEGIN, END = "<!-- resc-log schema -->", "<!-- end -->"
 
 
 def test_every_field_of_every_topic_has_a_meaning():
@@ -33,7 +33,7 @@ def test_the_arrays_of_scenes_and_starts_are_those_of_the_environment(make_env):
 def test_the_documentation_holds_the_tables():
     page = PAGE.read_text()
     held = page.partition(BEGIN)[2].partition(END)[0].strip()
-    assert held == describe(), "run python -m resc.recording schema and put its output there"
+    assert held == describe(), "run resc-log schema and put its output there"
 
 
 @pytest.mark.parametrize("fields", [[3], ["action", None], "state", [], {}, 3])

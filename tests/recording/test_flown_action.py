@@ -9,19 +9,19 @@ from street import fly_street
 
 from resc import keys
 from resc.errors import RecordingError
-from resc.evaluation.replay import fly_again
+from resc.flying.replay import fly_again
 from resc.learning.assemble import build_trainer
 from resc.learning.offline import transitions
 from resc.learning.training import record_batch
 from resc.recording import RolloutLog
-from resc.recording.appearance import scene_numbers
 from resc.recording.check import check
-from resc.recording.episode_scene import load_scene
-from resc.recording.foxglove import write_scene
-from resc.recording.plot import rate_command
 from resc.recording.rewrite import merge, recover
 from resc.recording.rollouts import open_recorder, record_world
 from resc.recording.schema import ACTION, SAMPLED_ACTION
+from resc.viewing.appearance import scene_numbers
+from resc.viewing.episode_scene import load_scene
+from resc.viewing.foxglove import write_scene
+from resc.viewing.plot import rate_command
 
 SMALL = (
     "num_envs=4", "pool_size=4", "renew_scenes=0", "obstacle_observation=none",

@@ -8,12 +8,12 @@ from small_run import record, rollout
 
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import RecordingError
-from resc.evaluation.replay import compare, fly_again
 from resc.evaluation.scene_files import _chosen
+from resc.flying.replay import compare, fly_again
 from resc.learning.offline import transitions
 from resc.recording import RolloutLog
-from resc.recording.episode_scene import load_scene
-from resc.recording.plot import draw_episode
+from resc.viewing.episode_scene import load_scene
+from resc.viewing.plot import draw_episode
 
 
 @pytest.fixture

@@ -431,7 +431,7 @@ def test_looking_at_a_recording_imports_no_torch(tmp_path):
         put_all(target, rollout(60, 4), 15)
     script = """
 import sys
-from resc.recording.commands import main
+from resc.log_command import main
 path = sys.argv[1]
 file = path + "/run/rollouts_00000.mcap"
 for command in (["info"], ["episodes", "--where", "length > 3"], ["check"], ["merge"]):

@@ -13,9 +13,9 @@ from small_run import COLUMNS, ENVS, record, rollout
 
 from resc import keys
 from resc.errors import RecordingError
+from resc.log_command import main
 from resc.recording import RolloutLog
 from resc.recording.check import check
-from resc.recording.commands import main
 from resc.recording.rewrite import merge, recover
 
 

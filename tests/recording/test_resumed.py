@@ -8,15 +8,15 @@ import torch
 from small_run import COLUMNS, ENDS, ENVS, EPISODES, STEPS, episodes, record, rollout
 
 from resc import keys
-from resc.evaluation.replay import fly_again
+from resc.flying.replay import fly_again
 from resc.learning import training
 from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.learning.progress import CsvLogger, ProgressTable
 from resc.learning.training import record_batch
+from resc.log_command import main
 from resc.recording import RolloutLog
 from resc.recording.check import check
-from resc.recording.commands import main
 from resc.recording.rewrite import merge, recover
 from resc.recording.rollouts import open_recorder, record_world
 from resc.recording.source import open_source

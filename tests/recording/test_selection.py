@@ -8,8 +8,8 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer, SliceSampler
 
 from resc import keys
 from resc.errors import RecordingError
+from resc.log_command.arguments import selected
 from resc.recording import Column, RolloutLog
-from resc.recording.commands.arguments import selected
 
 
 @pytest.fixture(scope="module")

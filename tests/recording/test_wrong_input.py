@@ -7,7 +7,7 @@ import pytest
 from small_run import record
 from test_damage import DAMAGE
 
-from resc.recording.commands import main
+from resc.log_command import main
 
 LOOKING = (("info",), ("episodes", "--where", "length > 3"), ("check",))
 WRITING = (("recover",), ("merge",), ("parquet",))

@@ -1,0 +1,199 @@
+"""Closed-loop flights: every row of an environment flies exactly one episode."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int
+from omegaconf import OmegaConf
+from tensordict import TensorDict
+from torch import Tensor
+from tqdm import tqdm
+
+from resc import keys
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import Stages
+from resc.errors import ConfigError
+from resc.flying.flight_log import FlightLog
+from resc.policies.stored import Policy as TrainedPolicy
+from resc.recording.rollouts import open_recorder
+from resc.recording.writer import RolloutRecorder
+from resc.terms.terminations.collision import Collision
+from resc.terms.terminations.contact import Contact
+
+Policy = Callable[[Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Flights:
+    """What came of one episode per row; all on the CPU.
+
+    `position_w` and `velocity_w` begin with the start, and stay at their last value once a flight
+    is over. `counted` is the number of steps up to the finish, over which the metrics run.
+    """
+
+    outcomes: tuple[str, ...]
+    outcome: Int[Tensor, " n"]
+    collided: Bool[Tensor, " n"]
+    steps: Int[Tensor, " n"]
+    counted: Int[Tensor, " n"]
+    dt_s: float
+    metrics: dict[str, Float[Tensor, " n"]]
+    position_w: Float[Tensor, "t n 3"]
+    velocity_w: Float[Tensor, "t n 3"]
+    wall_s: float
+
+    def __len__(self) -> int:
+        return len(self.outcome)
+
+    @property
+    def success(self) -> Bool[Tensor, " n"]:
+        """Which flights reached their goal."""
+        return self.outcome == 0
+
+    @property
+    def success_rate(self) -> float:
+        """Share of flights that reached their goal."""
+        return float(self.success.double().mean())
+
+    @property
+    def collision_rate(self) -> float:
+        """Share of flights that ended in an obstacle."""
+        return float(self.collided.double().mean())
+
+    @property
+    def names(self) -> list[str]:
+        """The outcome of each flight."""
+        return [self.outcomes[number] for number in self.outcome.tolist()]
+
+    @property
+    def frames(self) -> int:
+        """Steps flown by all flights together."""
+        return int(self.steps.sum())
+
+    def rows(self, start: int, stop: int) -> "Flights":
+        """Some of the flights."""
+        of = slice(start, stop)
+        columns = ("outcome", "collided", "steps", "counted")
+        single = {name: getattr(self, name)[of] for name in columns}
+        traces = {name: getattr(self, name)[:, of] for name in ("position_w", "velocity_w")}
+        metrics = {name: values[of] for name, values in self.metrics.items()}
+        return replace(self, **single, **traces, metrics=metrics)
+
+
+@torch.no_grad()
+def fly(
+    env: QuadrotorEnv,
+    policy: Policy,
+    *,
+    trace: bool = True,
+    recorder: RolloutRecorder | None = None,
+) -> Flights:
+    """Flies one episode in every row, all at once; rows that are done wait in their last state.
+
+    Raises:
+        ConfigError: No termination ends a flight that hovers for ever.
+    """
+    require_time_limit(env.stages)
+    began = time.perf_counter()
+    observation = env.restart(torch.arange(env.num_envs))
+    log = None if recorder is None else FlightLog(recorder, env)
+    over = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=env.device)
+    outcome, steps, counted = (torch.zeros_like(over, dtype=torch.int64) for _ in range(3))
+    traces, dt_s = [_state_of(env)], env.stages.context.dt_s
+    with tqdm(total=env.num_envs, desc="flying", unit="flight", leave=False) as bar:
+        while not over.all():
+            # A row that waits hovers: its state is put back, but must stay finite until then.
+            action = torch.where(over, 0.0, policy(observation))
+            before = env.world
+            counted += ~(over | env.value_of(keys.FINISHED))
+            out = env.advance(action)
+            observation = out.observation
+            if log is not None:
+                log.step(before, action, out, ~over)
+            if over.any():
+                env.world = TensorDict.where(before, over[:, 0], env.world)
+            steps += ~over
+            ended = out.done & ~over
+            outcome = torch.where(ended, out.outcome, outcome)
+            over = over | ended
+            if trace:
+                traces.append(_state_of(env))
+            bar.set_postfix_str(f"{int(steps.max()) * dt_s:.1f} s flown", refresh=False)
+            bar.update(int(ended.sum()))
+    if log is not None:
+        log.flush()
+    position, velocity = (torch.stack(part) for part in zip(*traces, strict=True))
+    metrics = {t.name: env.value_of(t.outputs[0])[:, 0].cpu() for t in env.stages.terms.metrics}
+    return Flights(
+        outcomes=env.stages.outcomes,
+        outcome=outcome[:, 0].cpu(),
+        collided=_is_collision(env)[outcome[:, 0].cpu()],
+        steps=steps[:, 0].cpu(),
+        counted=counted[:, 0].cpu(),
+        dt_s=dt_s,
+        metrics=metrics,
+        position_w=position,
+        velocity_w=velocity,
+        wall_s=time.perf_counter() - began,
+    )
+
+
+def fly_recorded(
+    env: QuadrotorEnv,
+    policy: TrainedPolicy,
+    config: Mapping[str, Any],
+    directory: Path,
+    overrides: Sequence[str] = (),
+    *,
+    trace: bool = True,
+) -> Flights:
+    """`fly` with the recorder of a configuration.
+
+    Args:
+        env: What is flown.
+        policy: What flies.
+        config: What the environment was built from; stored with the recording.
+        directory: Where the recording goes.
+        overrides: Of the command, for the recording.
+        trace: Whether positions and velocities are kept.
+
+    Raises:
+        CheckpointError: The policy expects another observation than the environment gives.
+    """
+    policy.require_layout(env.stages)
+    recorder = open_recorder(
+        OmegaConf.create(dict(config)),
+        env.stages,
+        directory=directory,
+        outcomes=env.stages.outcomes,
+        num_envs=env.num_envs,
+        policy=policy.head,
+        overrides=overrides,
+    )
+    try:
+        return fly(env, policy, trace=trace, recorder=recorder)
+    finally:
+        if recorder is not None:
+            recorder.close()
+
+
+def require_time_limit(stages: Stages) -> None:
+    """Raises ConfigError if no termination ends a flight that hovers for ever."""
+    if not any(term.truncates for term in stages.terms.terminations):
+        raise ConfigError(
+            "termination has no time limit, so a flight may never end; add time_limit."
+        )
+
+
+def _state_of(env: QuadrotorEnv) -> tuple[Tensor, Tensor]:
+    return env.value_of(keys.POSITION_W).cpu().clone(), env.value_of(keys.VELOCITY_W).cpu().clone()
+
+
+def _is_collision(env: QuadrotorEnv) -> Bool[Tensor, " o"]:
+    """For each outcome, whether it is a collision with an obstacle."""
+    failures = [term for term in env.stages.terms.terminations if not term.success]
+    return torch.tensor([False, *(isinstance(term, Collision | Contact) for term in failures)])

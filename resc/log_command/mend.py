@@ -1,0 +1,95 @@
+"""Commands about whole files: check, recover, merge."""
+
+import argparse
+from os.path import realpath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from resc.errors import RecordingError
+from resc.log_command.arguments import add_command, add_output, add_recording, output
+from resc.recording.location import recordings_at
+from resc.recording.segments import ACTIVE
+
+if TYPE_CHECKING:
+    from resc.recording.rewrite import Rewritten
+
+
+def add_commands(commands: Any) -> None:  # noqa: ANN401
+    """Adds the commands of this module."""
+    checking = add_command(
+        commands,
+        "check",
+        run_check,
+        "whether structure, checksums, counts, values and episodes are right",
+        "resc-log check runs/latest_train && echo fine",
+    )
+    add_recording(checking)
+    recovering = add_command(
+        commands,
+        "recover",
+        run_recover,
+        "make a cut, damaged or growing file a complete one",
+        "resc-log recover runs/latest_train/rollouts/rollouts_00003.mcap.active --out saved.mcap",
+    )
+    recovering.add_argument("file", type=Path, metavar="FILE", help="stays as it is")
+    add_output(
+        recovering,
+        "recovered_NAME.mcap beside FILE, which RolloutLog does not take for one "
+        "more file of the run",
+    )
+    merging = add_command(
+        commands,
+        "merge",
+        run_merge,
+        "make one file of those of a run",
+        "resc-log merge runs/latest_train --out run.mcap",
+    )
+    merging.add_argument("recordings", nargs="+", metavar="RECORDING")
+    add_output(merging, "merged.mcap in this folder")
+
+
+def run_check(given: argparse.Namespace) -> int:
+    """Prints what is wrong; 1 if something is."""
+    from resc.recording.check import check
+
+    done = check(given.recording)
+    for note in done.notes:
+        print(f"note: {note}")
+    for fault in done.faults:
+        print(fault)
+    verdict = f"{len(done.faults)} fault(s)" if done.faults else "fine"
+    print(
+        f"{verdict}: {done.files} file(s), {done.batches:,} batches, "
+        f"{done.env_steps:,} environment steps, {done.episodes:,} episodes read"
+    )
+    return int(bool(done.faults))
+
+
+def run_recover(given: argparse.Namespace) -> int:
+    """Writes what can be read to a new file; 1 if something is lost."""
+    from resc.recording.rewrite import recover
+
+    if given.file.is_dir():
+        raise RecordingError(f"{given.file} is a folder; name one of the files in it.")
+    if given.file.exists() and not given.file.is_file():
+        raise RecordingError(f"{given.file} is no file; name a recording.")
+    name = given.file.name.removesuffix(ACTIVE)
+    path = output(given, given.file.with_name(f"recovered_{name}"))
+    return _report(recover(given.file, path), path)
+
+
+def run_merge(given: argparse.Namespace) -> int:
+    """Writes several files as one."""
+    from resc.recording.rewrite import merge
+
+    found = [path for location in given.recordings for path in recordings_at(location)]
+    files = list({realpath(path): path for path in found}.values())
+    path = output(given, Path("merged.mcap"))
+    return _report(merge(files, path), path)
+
+
+def _report(done: "Rewritten", path: Path) -> int:
+    for loss in done.lost:
+        print(f"left out: {loss}")
+    print(f"{path}: {done.batches:,} batches, {path.stat().st_size / 1e6:,.1f} MB")
+    return int(bool(done.lost))

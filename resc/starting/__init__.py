@@ -1,0 +1,1 @@
+"""How a script begins: composed, checked, told apart from other runs."""

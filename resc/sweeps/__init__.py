@@ -1,0 +1,1 @@
+"""Many runs: jobs, launchers, and how scripts start."""

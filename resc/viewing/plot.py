@@ -1,0 +1,257 @@
+"""One recorded episode as a picture: where it flew, and how it moved over time."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import matplotlib as mpl
+import numpy as np
+import torch
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, FancyBboxPatch, Patch, Rectangle
+from tensordict import TensorDict
+from torch import Tensor
+
+from resc import keys
+from resc.errors import RecordingError
+from resc.math.rotation import euler_from_quaternion
+from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
+from resc.recording.configuration import nodes_in, numbers_at
+from resc.recording.reader import RolloutLog
+from resc.run_folder import replacing
+from resc.viewing.colours import (
+    BACKGROUND,
+    COLLISION,
+    DASHES,
+    FRAME,
+    OBSTACLE,
+    PLAN,
+    SPEED,
+    TEXT,
+)
+
+_COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
+"""Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""
+_MARGIN_M, _LEAST_M = 1.5, 6.0
+"""What is shown around a flight and its route, and the least width of it."""
+_RATE_LIMIT = "rate_limit_radps"
+_COLLISIONS = (
+    "resc.terms.terminations.collision.Collision",
+    "resc.terms.terminations.contact.Contact",
+)
+_INFLATED = ("#d9a8a0", 0.55)
+_OUTLIER = 5.0
+"""A last step that changes a sum of rewards by so many times what any before it did is an end."""
+_BESIDE = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
+"""Where legends go that would hide curves."""
+
+
+def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
+    """Draws an episode: map from above, velocity, attitude, body rates, rewards.
+
+    The command is what the action asks of the rate loop, after the delay of the episode.
+
+    Raises:
+        RecordingError: The recording lacks a column, the scene or the configuration.
+    """
+    facts, steps = log.episodes.row(episode, named=True), log.episode(episode)
+    require_columns(steps, (*FLOWN, keys.REWARD), "a picture")
+    time = np.arange(len(steps)) * log.dt_s
+    commanded = rate_command(log, episode, steps)
+    with mpl.rc_context({"font.size": 9, "font.family": "DejaVu Sans"}):
+        figure = Figure(figsize=(13, 8.5), layout="constrained")
+        grid = figure.add_gridspec(10, 2, width_ratios=(1, 1))
+        scene, inflation = log.scene(episode), inflation_m(log, episode)
+        _draw_map(figure, figure.add_subplot(grid[:7, 0]), scene, steps, inflation)
+        _draw_rewards(figure.add_subplot(grid[7:, 0]), time, log, steps)
+        right = [figure.add_subplot(grid[2 * i : 2 * i + 2, 1]) for i in range(5)]
+        _draw_velocity(right[0], time, steps)
+        _draw_attitude(right[1], time, steps)
+        rates = _tensor(steps, keys.BODY_RATE_B).numpy()
+        for i, name in enumerate(("roll", "pitch", "yaw")):
+            axes = right[2 + i]
+            axes.plot(time, rates[:, i], color=_COLOURS[i], linewidth=2.0, label="true")
+            axes.plot(time, commanded[:, i], color=TEXT, linewidth=0.8, label="commanded")
+            _dress(axes, f"{name} rate [rad/s]", _end(time))
+        for axes in right[:-1]:
+            axes.tick_params(labelbottom=False)
+        right[-1].set_xlabel("time [s]")
+        figure.suptitle(
+            f"episode {episode}: {facts['outcome']} after {len(steps) * log.dt_s:.2f} s, "
+            f"return {facts['return_']:.2f} · environment {facts['env_id']}, "
+            f"steps {facts['start_step']:,} to {facts['end_step']:,}, scene {facts['scene']}"
+        )
+        with replacing(path, RecordingError) as unfinished:
+            figure.savefig(unfinished, dpi=130, format=path.suffix.removeprefix(".") or "png")
+
+
+def rate_command(log: RolloutLog, episode: int, steps: TensorDict) -> Float[np.ndarray, "t 3"]:
+    """Body rates [rad/s] asked of the rate loop in each step of an episode.
+
+    omega = clip(a, -1, 1) limit, of the action a as many steps ago as the episode's delay; before
+    the first one those that waited in its queue.
+
+    Raises:
+        RecordingError: The stored configuration has no rate limits, or no start is recorded.
+    """
+    limit = numbers_at(log.config, f"action.{_RATE_LIMIT}", 3)
+    start = log.start(episode)
+    waiting = _tensor(start, keys.ACTION_QUEUE)
+    delay = min(int(_tensor(start, keys.ACTION_DELAY)), len(waiting) - 1)
+    actions = torch.cat((waiting[:delay].flip(0), _tensor(steps, keys.ACTION)))[: len(steps)]
+    return (actions[:, :3].clamp(-1, 1) * torch.tensor(limit)).numpy()
+
+
+def inflation_m(log: RolloutLog, episode: int) -> float:
+    """Distance to obstacles [m] at which an episode collides: its own margin, if it has one."""
+    terms = nodes_in(log.config, "termination") if "termination" in log.config else {}
+    ending = [name for name, term in terms.items() if term["_target_"] in _COLLISIONS]
+    own = [name for name in ending if terms[name].get("radius_m", 0.0) is None]
+    radii = [
+        numbers_at(log.config, f"termination.{name}.radius_m", 1)[0]
+        for name in ending
+        if name not in own
+    ]
+    if own:
+        radii.append(float(_tensor(log.start(episode), keys.MARGIN)))
+    return max(radii, default=0.0)
+
+
+def _tensor(values: TensorDict, key: keys.NestedKey) -> Tensor:
+    return cast(Tensor, values[key])
+
+
+def _draw_map(
+    figure: Figure, axes: Axes, scene: Mapping[str, Tensor], steps: TensorDict, inflation: float
+) -> None:
+    position = _tensor(steps, keys.POSITION_W)[:, :2].numpy()
+    speed = _tensor(steps, keys.VELOCITY_W).norm(dim=-1).numpy()
+    _draw_obstacles(axes, scene, inflation)
+    route = scene["route_w"][: int(scene["route_length"]), :2].numpy()
+    planned = np.concatenate((scene["start_w"][None, :2].numpy(), route))
+    axes.plot(*planned.T, color=PLAN, linewidth=1.0, linestyle=DASHES, zorder=2)
+    axes.scatter(*route[:-1].T, s=14, color=PLAN, linewidths=0, zorder=2)
+    white = {"c": "white", "edgecolors": PLAN, "zorder": 5}
+    axes.scatter(*planned[0], s=44, marker="o", **white)
+    axes.scatter(*route[-1], s=130, marker="*", **white)
+    norm = Normalize(0, max(float(speed.max()), 1.0))
+    lines = LineCollection(
+        list(np.stack((position[:-1], position[1:]), 1)), cmap=SPEED, norm=norm, linewidths=2.0
+    )
+    lines.set(array=speed[1:], zorder=3, capstyle="round")
+    axes.add_collection(lines)
+    mark = {"edgecolors": "white", "linewidths": 0.8, "zorder": 6}
+    axes.scatter(*position[-1], s=50, marker="D", c=COLLISION, **mark)
+    shown = np.concatenate((position, planned))
+    low, high = shown.min(0) - _MARGIN_M, shown.max(0) + _MARGIN_M
+    half, middle = max((high - low).max(), _LEAST_M) / 2, (low + high) / 2
+    (west, south), (east, north) = middle - half, middle + half
+    axes.set(xlim=(west, east), ylim=(south, north), facecolor=BACKGROUND(1.0))
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    bar = figure.colorbar(lines, ax=axes, fraction=0.04, pad=0.02, aspect=40)
+    bar.set_label("speed [m/s]")
+    _quiet(axes)
+
+
+def _draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -> None:
+    """Columns, and around them where a flight ends as a collision."""
+    boxes = [((x, y), dx, dy) for x, y, dx, dy in scene["boxes_w"].tolist() if dx > 0 and dy > 0]
+    pillars = scene["pillars_w"].tolist() if "pillars_w" in scene else []  # not in older recordings
+    pillars = [((x, y), radius) for x, y, radius in pillars if radius > 0]
+    if inflation > 0 and (boxes or pillars):
+        style = f"round,pad={inflation},rounding_size={inflation}"
+        flat = {"facecolor": _INFLATED, "edgecolor": "none"}
+        for box in boxes:
+            axes.add_patch(FancyBboxPatch(*box, boxstyle=style, **flat))
+        for centre, radius in pillars:
+            axes.add_patch(Circle(centre, radius + inflation, **flat))
+        label = f"collision: within {inflation:g} m of an obstacle"
+        patch = Patch(facecolor=_INFLATED, label=label)
+        axes.legend(handles=[patch], loc="upper left", fontsize="small", framealpha=0.8)
+    shapes = [*(Rectangle(*box) for box in boxes), *(Circle(*pillar) for pillar in pillars)]
+    axes.add_collection(PatchCollection(shapes, facecolor=OBSTACLE, edgecolor="none", zorder=1.5))
+
+
+def _draw_velocity(axes: Axes, time: Float[np.ndarray, " t"], steps: TensorDict) -> None:
+    velocity = _tensor(steps, keys.VELOCITY_W)
+    axes.plot(time, velocity.norm(dim=-1), color=TEXT, linewidth=0.9, label="speed")
+    _draw_triple(axes, time, velocity.numpy(), "xyz")
+    _dress(axes, "velocity [m/s]", _end(time))
+
+
+def _draw_attitude(axes: Axes, time: Float[np.ndarray, " t"], steps: TensorDict) -> None:
+    euler = euler_from_quaternion(_tensor(steps, keys.ATTITUDE_WB)).numpy()
+    degrees = np.rad2deg(np.unwrap(euler, axis=0))  # a yaw beyond 180 deg goes on, not back
+    _draw_triple(axes, time, degrees, ("roll", "pitch", "yaw"))
+    _dress(axes, "attitude [deg]", _end(time))
+
+
+def _draw_triple(
+    axes: Axes,
+    time: Float[np.ndarray, " t"],
+    values: Float[np.ndarray, "t 3"],
+    names: Sequence[str],
+) -> None:
+    for i, name in enumerate(names):
+        axes.plot(time, values[:, i], color=_COLOURS[i], label=name)
+
+
+def _draw_rewards(
+    axes: Axes, time: Float[np.ndarray, " t"], log: RolloutLog, steps: TensorDict
+) -> None:
+    """Sums of the reward terms up to each step; terms that stay zero are left out."""
+    names = next((c.components for c in log.columns if c.key == REWARD_TERMS), ())
+    sums = _tensor(steps, REWARD_TERMS).cumsum(0).numpy() if names else np.zeros((len(time), 0))
+    shown = [i for i in range(len(names)) if np.abs(sums[:, i]).max() > 0]
+    palette = mpl.colormaps["tab10"]
+    for place, i in enumerate(shown):
+        axes.plot(time, sums[:, i], color=palette(place), label=f"{names[i]} {sums[-1, i]:.2f}")
+    total = _tensor(steps, keys.REWARD)[:, 0].cumsum(0).numpy()
+    axes.plot(time, total, color=TEXT, linewidth=1.6, label=f"return {total[-1]:.2f}")
+    _dress(axes, "reward, summed", _end(time), legend={**_BESIDE, "title": "at the end"})
+    axes.set_xlabel("time [s]")
+    _set_range(axes, float(time[-1]))
+
+
+def _set_range(axes: Axes, end_s: float) -> None:
+    """Fits the axis to all steps but the last, if that alone would flatten the curves.
+
+    A crash or an arrival is worth more than a whole flight. Curves that leave the axis end in an
+    arrow; where they end is in the legend.
+    """
+    curves = [line for line in axes.get_lines() if not str(line.get_label()).startswith("_")]
+    values = np.array([line.get_ydata() for line in curves])
+    changes = np.abs(np.diff(values))
+    if changes.shape[1] < 2 or changes[:, -1].max() <= _OUTLIER * changes[:, :-1].max():
+        return
+    low, high = min(0.0, values[:, :-1].min()), max(0.0, values[:, :-1].max())
+    margin = 0.1 * (high - low) or 1.0
+    low, high = low - margin, high + margin
+    axes.set_ylim(low, high)
+    for line, last in zip(curves, values[:, -1], strict=True):
+        if not low <= last <= high:
+            edge, marker = (low, "v") if last < low else (high, "^")
+            axes.plot(end_s, edge, marker, color=line.get_color(), markersize=8, clip_on=False)
+
+
+def _dress(axes: Axes, label: str, end_s: float, legend: Mapping[str, Any] = _BESIDE) -> None:
+    axes.set(ylabel=label, xlim=(0, end_s))
+    axes.grid(color=FRAME, linewidth=0.4, alpha=0.5)
+    axes.axhline(0, color=FRAME, linewidth=0.6, zorder=1)
+    axes.legend(fontsize="small", **legend)
+    _quiet(axes)
+
+
+def _end(time: Float[np.ndarray, " t"]) -> float:
+    """Right end of the time axis [s]; not its left one if there is but one step."""
+    return float(time[-1]) or 1.0
+
+
+def _quiet(axes: Axes) -> None:
+    axes.tick_params(length=2, color=FRAME, labelcolor=TEXT, labelsize="small")
+    for spine in axes.spines.values():
+        spine.set_color(FRAME)

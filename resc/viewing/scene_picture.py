@@ -1,0 +1,78 @@
+"""Examples of a planned scene, family by family: obstacles, routes and control points.
+
+python -m resc.viewing.scene_picture docs/planned.png            conf/scene/planned.yaml
+python -m resc.viewing.scene_picture mine.png my/scene.yaml 6    another file, examples of each
+"""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import torch
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.patches import Circle
+
+from resc.build import build, load_config
+from resc.math.sampling import generator_for
+from resc.planning.route import RoutePlanner
+from resc.scenes.layout import Layout, sampled
+from resc.viewing.colours import BACKGROUND, DASHES, PLAN, TEXT
+from resc.viewing.map_picture import draw_obstacles
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES, EDGE_INCHES = 5, 2.0
+WHOLE = {"points": 1000, "on_the_way": 0.0}
+"""The whole route from the start, whatever part of it an episode takes."""
+
+
+def draw(path: Path, scene: Mapping[str, Any], examples: int, allowed: list[str]) -> None:
+    """Draws `examples` of each family of a scene's configuration, a row each."""
+    search = load_config(ROOT / "conf/search/visibility.yaml")
+    planner: RoutePlanner = build(search, "search", resolution_m=0.1)
+    rows = {name: node for name, node in scene["families"].items() if node is not None}
+    size = (examples * EDGE_INCHES, len(rows) * EDGE_INCHES)
+    figure, grid = plt.subplots(
+        len(rows), examples, figsize=size, squeeze=False, layout="constrained"
+    )
+    for (name, node), line in zip(rows.items(), grid, strict=True):
+        one = build({**scene, **WHOLE, "families": {name: node}}, "scene", allowed=allowed)
+        layout = sampled(one, examples, generator_for(0, f"picture/{name}"), planner)
+        for number, axes in enumerate(line):
+            _draw_one(axes, layout, number)
+        line[0].set_ylabel(name, color=TEXT)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _draw_one(axes: Axes, layout: Layout, number: int) -> None:
+    draw_obstacles(axes, layout, number)
+    length = int(layout.route_length[number, 0])
+    way = torch.cat((layout.start_w[number, None], layout.route_w[number, :length]))[:, :2]
+    x, y = way.T.tolist()
+    axes.plot(x, y, color=PLAN, linewidth=0.9, linestyle=DASHES, zorder=2.5)
+    radius = float(layout.clearance[number])
+    around = [Circle(point, radius) for point in zip(x[1:], y[1:], strict=True)]
+    columns = PatchCollection(around, facecolor="none", edgecolor=PLAN, linewidth=0.4, zorder=2.2)
+    axes.add_collection(columns)
+    axes.scatter(x[1:-1], y[1:-1], s=5, color=PLAN, linewidths=0, zorder=2.6)
+    white = {"c": "white", "edgecolors": PLAN, "linewidths": 0.8, "zorder": 5}
+    axes.scatter(x[0], y[0], s=26, marker="o", **white)
+    axes.scatter(x[-1], y[-1], s=70, marker="*", **white)
+    (west, south), (width, height) = layout.origin_w[number], layout.size[number]
+    axes.set(xlim=(west, west + width), ylim=(south, south + height), aspect="equal")
+    axes.set(xticks=[], yticks=[], facecolor=BACKGROUND(1.0))
+    axes.set_title(f"{radius:.2f} m", fontsize=7, color=TEXT, pad=2)
+
+
+if __name__ == "__main__":
+    target, *more = sys.argv[1:] or [str(ROOT / "docs/planned.png")]
+    file = Path(more[0]) if more else ROOT / "conf/scene/planned.yaml"
+    opted_in = more[2:]
+    draw(Path(target), load_config(file), int(more[1]) if len(more) > 1 else EXAMPLES, opted_in)
+    print(target)

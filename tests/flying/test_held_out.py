@@ -1,0 +1,70 @@
+"""Held-out episodes: what is written is read, and density is that of the ground near the route."""
+
+import numpy as np
+import pytest
+import torch
+
+from resc.build import build_pool
+from resc.errors import ConfigError
+from resc.flying.held_out import (
+    density_near_route,
+    held_out_rules,
+    read_episodes,
+    write_episodes,
+)
+
+EPISODES = {
+    "scene": np.arange(3),
+    "obstacles": np.array([0, 4, 8]),
+    "density": np.array([0.0, 0.125, 0.25]),
+    "outcome": np.array(["success", "collision", "time_limit"]),
+    "success": np.array([1, 0, 0]),
+    "collided": np.array([0, 1, 0]),
+    "time_s": np.array([2.5, 0.5, 20.0]),
+    "energy": np.array([12.5, np.nan, np.inf]),
+}
+
+
+def test_episodes_are_read_as_written(tmp_path):
+    write_episodes(tmp_path / "evaluation.csv", EPISODES)
+    table = read_episodes(tmp_path / "evaluation.csv", 3)
+    assert list(table) == list(EPISODES)
+    for name, column in EPISODES.items():
+        np.testing.assert_array_equal(table[name], column)
+
+
+def test_file_of_fewer_episodes_is_refused(tmp_path):
+    path = tmp_path / "evaluation.csv"
+    write_episodes(path, EPISODES)
+    with pytest.raises(ConfigError, match=r"is cut or damaged \(3 whole rows of 4\)"):
+        read_episodes(path, 4)
+    with pytest.raises(ConfigError, match="is missing"):
+        read_episodes(tmp_path / "other.csv", 3)
+
+
+def test_held_out_groups_replace_those_of_training():
+    rules = held_out_rules({"seed": 1, "metric": {}, "held_out": {"metric": {"energy": 1}}})
+    assert rules["metric"] == {"energy": 1}
+    assert rules["seed"] == 1
+    assert held_out_rules({"metric": {}}) == {"metric": {}}  # of a run from before there was one
+
+
+def test_density_counts_the_cells_within_a_metre_and_a_half_of_the_route(compose):
+    """A lane of 4 m x 3 m with half discs at its ends, 0.09 of it a box; another box is far off."""
+    config = compose("scene=paper1_map11", "scene.jitter_m=0.0")
+    config["scene"] = dict(config["scene"]) | {
+        "boxes": [[5.0, 5.0, 1.2, 1.4], [0.0, 0.0, 3.0, 3.0]],
+        "start_m": [3.5, 6.0, 1.0],
+        "goal_m": [7.5, 6.0, 1.0],
+        "origin_m": [0.0, 0.0],
+        "size_m": [12.0, 12.0],
+    }
+
+    def straight(layout):
+        length = torch.ones_like(layout.route_length)
+        return type(layout)(**{**vars(layout), "route_length": length})
+
+    pool = build_pool(config, size=2, seed=0, plan=straight)
+    lane = 4.0 * 3.0 + np.pi * 1.5**2
+    share = float(density_near_route(pool)[0])
+    assert share == pytest.approx(1.2 * 1.4 / lane, rel=0.02)
