@@ -32,9 +32,8 @@ from benchmarks.measure import (
     sentence,
     write_json,
 )
-from resc.build import build_env, build_pool
-from resc.planning.route import planner_for
 from resc.process import prepare_process
+from resc.setup import Setup, build_stages, set_up
 
 NONE, PUBLISHED = "none", "kgp_esdf"
 
@@ -65,14 +64,8 @@ def measure(args: argparse.Namespace, effort: Effort) -> tuple[dict[str, Cost], 
         overrides = [f"num_envs={args.envs}", f"device={args.device}"]
         config = load([f"obstacle_observation={name}", *overrides])
         if pool is None:
-            pool = build_pool(
-                config,
-                size=config["pool_size"],
-                seed=0,
-                device=args.device,
-                plan=planner_for(config),
-            )
-        flights[name] = Flight(build_env(config, pool))
+            pool = set_up(config, size=config["pool_size"], seed=0).pool
+        flights[name] = Flight(Setup(build_stages(config), pool).env(args.envs))
         flights[name].run(effort.burn_in)
         print(f"{name}: compiled", file=sys.stderr, flush=True)
     steps = max(1, round(effort.block_s / _seconds(flights[PUBLISHED], 10) * 10))

@@ -12,10 +12,9 @@ from pathlib import Path
 import torch
 
 from benchmarks.measure import load, machine, sentence, write_json
-from resc.build import build_pool
 from resc.learning.assemble import build_trainer
-from resc.planning.route import planner_for
 from resc.process import prepare_process
+from resc.setup import set_up
 
 SCENES = 2048
 BATCHES, WARM = 6, 3
@@ -25,10 +24,9 @@ def first_layout(name: str, threads: int) -> tuple[float, float]:
     """Seconds of wall time and of processor time that a pool of `SCENES` takes."""
     torch.set_num_threads(threads)
     config = load([f"scene={name}"])
-    planner = planner_for(config)
-    build_pool(config, size=8, seed=1, plan=planner)  # compiles
+    set_up(config, size=8, seed=1)  # compiles
     wall, cpu = time.perf_counter(), time.process_time()
-    build_pool(config, size=SCENES, seed=0, plan=planner)
+    set_up(config, size=SCENES, seed=0)
     return time.perf_counter() - wall, time.process_time() - cpu
 
 

@@ -31,13 +31,12 @@ from benchmarks.measure import (
     sentence,
     write_json,
 )
-from resc.build import build_env, build_pool, build_stages
 from resc.envs.gymnasium_env import QuadrotorGymEnv
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.learning.assemble import build_trainer
-from resc.planning.route import planner_for
 from resc.process import prepare_process
 from resc.scenes.pool import ScenePool
+from resc.setup import Setup, build_stages, set_up
 
 LARGEST = 4096
 SIZES = (64, 1024, LARGEST)
@@ -68,7 +67,8 @@ def environment_rows(task: str, args: argparse.Namespace, effort: Effort) -> Ite
                 [*TASKS[task], f"num_envs={envs}", f"compile={compiled}", f"device={args.device}"]
             )
             forget_compiled()
-            flight = Flight(build_env(config, pool))
+            setup = Setup(build_stages(config), pool)
+            flight = Flight(setup.env(envs, compiled=compiled))
             rate = median_rate(flight.run, effort, threads=args.threads)
             key = (
                 f"{task}_env"
@@ -138,10 +138,8 @@ def _sb3_rate(
 
 
 def _pool(task: str, device: str) -> ScenePool:
-    config = load(TASKS[task])
-    return build_pool(
-        config, size=config["pool_size"], seed=0, device=device, plan=planner_for(config)
-    )
+    config = load([*TASKS[task], f"device={device}"])
+    return set_up(config, size=config["pool_size"], seed=0).pool
 
 
 def table(rows: list[Row]) -> str:

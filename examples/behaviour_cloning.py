@@ -26,7 +26,7 @@ from omegaconf import DictConfig, OmegaConf
 from tqdm import trange
 
 from resc import schema
-from resc.build import build, build_stages
+from resc.build import build
 from resc.errors import RecordingError, RescError
 from resc.flying.replay import recorded_config
 from resc.learning.assemble import fly_held_out
@@ -35,6 +35,7 @@ from resc.policies.stored import POLICY, save_policy
 from resc.process import prepare_process
 from resc.recording import RolloutLog
 from resc.settings import check_settings
+from resc.setup import build_stages
 from resc.starting.launch import CONF, explain
 
 SEES = ("env", "observation")

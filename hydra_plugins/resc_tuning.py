@@ -16,9 +16,8 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from hydra_plugins.resc_sweeps import SweepLauncher
-from resc.build import nearest
 from resc.command_line import override
-from resc.errors import ConfigError, SweepError
+from resc.errors import ConfigError, SweepError, nearest
 from resc.run_folder import SUMMARY, summary_of
 from resc.sweep_folder import go_on
 from resc.sweeps.jobs import Outcome

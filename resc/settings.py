@@ -14,8 +14,7 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from resc.build import nearest
-from resc.errors import ConfigError
+from resc.errors import ConfigError, nearest
 from resc.schema import RunSchema, folder_name
 from resc.sweep_folder import go_on
 

@@ -26,10 +26,9 @@ from short_courses import (  # noqa: F401
 )
 
 import resc.schema
-from resc.build import build_env, build_pool, build_stages
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
-from resc.planning.route import planner_for
+from resc.setup import build_stages, set_up
 from resc.starting.launch import launch
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -79,12 +78,8 @@ def make_env(compose: Callable[..., DictConfig]) -> Callable[..., QuadrotorEnv]:
         config = compose(*overrides)
         options.setdefault("tried", overrides not in known)
         known.add(overrides)
-        return build_env(
-            config,
-            build_pool(config, size=scenes, seed=seed, plan=planner_for(config)),
-            seed=seed,
-            **options,
-        )
+        setup = set_up(config, size=scenes, seed=seed)
+        return setup.env(config["num_envs"], compiled=config["compile"], seed=seed, **options)
 
     return make
 

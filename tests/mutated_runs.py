@@ -136,7 +136,8 @@ class Rest:
         prepare_process(config["threads"], config["device"])
         check_settings(config, EvaluateSchema)
         stored = OmegaConf.to_container(self.policy.config, resolve=True)
-        planner = planner_for({**config, "env": config["env"] or stored["env"]})
+        nodes = {"search": config["search"], "task": config["task"]}
+        planner = planner_for(**nodes, env=config["env"] or stored["env"])
         scenes = {name: load("scene", name) for name in listed(config["scenes"])}
         amounts = amounts_of(config, list(scenes))
         courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner)

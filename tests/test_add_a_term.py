@@ -10,11 +10,10 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from resc.build import build_env, build_pool
 from resc.errors import ConfigError
 from resc.learning.progress import describe
 from resc.math.rotation import heading
-from resc.planning.route import planner_for
+from resc.setup import set_up
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "add-a-term.md").read_text()
@@ -60,7 +59,7 @@ def turned(offset, env):
 
 
 def test_the_new_parts_stand_in_the_table_and_fly(config):
-    env = build_env(config, build_pool(config, size=4, seed=0, plan=planner_for(config)), seed=0)
+    env = set_up(config, size=4, seed=0).env(config["num_envs"], compiled=config["compile"])
     table = describe(env.stages).splitlines()
     assert set(TABLE.splitlines()) <= set(table)
     env.restart(torch.arange(3))
@@ -80,7 +79,7 @@ def test_the_new_parts_stand_in_the_table_and_fly(config):
 def test_without_the_permission_nothing_of_the_package_is_built(config):
     config["allowed_targets"] = []
     with pytest.raises(ConfigError, match=r"'mypackage\.tilt\.Tilt', outside resc\."):
-        build_env(config, build_pool(config, size=4, seed=0, plan=planner_for(config)))
+        set_up(config, size=4, seed=0)
     assert "mypackage.tilt" not in sys.modules
 
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from resc.build import build, build_pool, build_stages, build_terms, load_config
+from resc.build import build, build_terms, load_config
 from resc.errors import ConfigError
-from resc.planning.route import planner_for
+from resc.setup import build_stages, set_up
 from resc.term import Reward, Sensor
 from resc.terms.rewards.progress import Progress
 
@@ -256,10 +256,7 @@ def test_impossible_periods_and_cells_are_refused(compose, override):
 
 def test_the_same_seed_builds_the_same_pool_and_another_another(compose):
     config = compose()
-    routes = [
-        build_pool(config, size=4, seed=seed, plan=planner_for(config)).layout.route_w
-        for seed in (1, 1, 2)
-    ]
+    routes = [set_up(config, size=4, seed=seed).pool.layout.route_w for seed in (1, 1, 2)]
     assert torch.equal(routes[0], routes[1])
     assert not torch.equal(routes[0], routes[2])
 

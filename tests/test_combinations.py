@@ -13,8 +13,8 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from resc.build import build_env, build_pool, build_terms
-from resc.planning.route import planner_for
+from resc.build import build_terms
+from resc.setup import Setup, build_stages, set_up
 from resc.term import Curriculum
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -51,12 +51,12 @@ def flown(compose):
     def scenes(*overrides):
         config = compose(*overrides)
         curricula = build_terms(config["curriculum"], "curriculum", Curriculum)
-        return build_pool(config, size=8, seed=0, plan=planner_for(config), curricula=curricula)
+        return set_up(config, size=8, seed=0, curricula=curricula).pool
 
     def fly(combination, num_envs):
         overrides = [override for override in combination if override]
         config = compose(*overrides, f"num_envs={num_envs}")
-        env = build_env(config, scenes(*combination[2:]))
+        env = Setup(build_stages(config), scenes(*combination[2:])).env(num_envs, compiled=False)
         generator = torch.Generator().manual_seed(0)
         everyone = torch.arange(num_envs)
         assert env.observation_spec["observation"].is_in(env.restart(everyone))

@@ -282,7 +282,7 @@ def test_the_same_seed_flies_the_same_bits_and_a_restart_touches_its_row_only(fl
 def test_a_search_lays_finite_control_points(compose, name):
     config = compose(f"search={name}", "scene=random_boxes")
     layout = build(config["scene"], "scene").sample(1, torch.Generator().manual_seed(0))
-    planner = planner_for(config)
+    planner = planner_for(search=config["search"], task=config["task"], env=config["env"])
     planned, again = planner(layout), planner(layout)
     assert planned.route_w.isfinite().all()
     assert torch.equal(planned.route_w, again.route_w)

@@ -6,11 +6,10 @@ import math
 import pytest
 from omegaconf import OmegaConf
 
-from resc.build import build_env, build_pool
 from resc.errors import ConfigError, RescError
 from resc.learning.assemble import build_trainer
-from resc.planning.route import planner_for
 from resc.process import require_memory
+from resc.setup import set_up
 
 SMALL = (
     "num_envs=2",
@@ -180,7 +179,7 @@ def test_numbers_that_cannot_be_meant_are_refused_with_their_path(settings, path
 def test_a_scene_that_cannot_be_meant_is_refused(compose, scene, overrides, message):
     config = compose(f"scene={scene}", overrides)
     with pytest.raises(RescError, match=message):
-        build_env(config, build_pool(config, size=8, seed=0, plan=planner_for(config)))
+        set_up(config, size=8, seed=0).env(4, compiled=False)
 
 
 SENSIBLE = {

@@ -60,7 +60,12 @@ def main(config: DictConfig, folder: Path) -> None:
     prepare_process(config["threads"], config["device"])
     solver()
     limits = limits_of(config)
-    planner = planner_for(config)
+    planner = planner_for(
+        search=config["search"],
+        task=config["task"],
+        env=config["env"],
+        allowed=config["allowed_targets"],
+    )
     if planner is None:
         raise ConfigError("search is none, but the path leads the solver; set search=visibility.")
     scenes = compose_scenes(config, scenes_to_fly(config, given()))

@@ -66,8 +66,9 @@ def evaluate(
     stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
     scenes = commanded_scenes(scenes, config, stored, limits)
     config = commanded(config, stored, limits, overrides)
-    planner = planner_for({**config, "env": {**stored["env"], **(config["env"] or {})}})
     allowed = config["allowed_targets"]
+    env = {**stored["env"], **(config["env"] or {})}
+    planner = planner_for(search=config["search"], task=config["task"], env=env, allowed=allowed)
     amounts = amounts_of(config, list(scenes))
     courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
     folder.mkdir(parents=True, exist_ok=True)

@@ -3,15 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import torch
-
-from resc.build import build_env
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.evaluation.courses import Course
-from resc.math.sampling import generator_for
 from resc.scenes.laid_out import LaidOut
 from resc.scenes.layout import concatenate
-from resc.scenes.pool import ScenePool
+from resc.setup import set_up
 
 STORED = ("env", "vehicle", "action", "rate_loop", "dynamics", "observation", "reward")
 """Groups taken from the policy's configuration, unless the command line names one."""
@@ -43,11 +39,5 @@ def build_flying_env(courses: Sequence[Course], settings: Mapping[str, Any]) -> 
     """An environment with one row for every flight of the courses, in their order."""
     seed = settings["seed"]
     layout = concatenate([course.layout for course in courses])
-    pool = ScenePool(
-        LaidOut(layout),
-        size=len(layout),
-        resolution_m=settings["env"]["resolution_m"],
-        generator=generator_for(seed, "scene_layout"),
-        device=torch.device(settings["device"]),
-    )
-    return build_env({**settings, "num_envs": len(layout)}, pool, seed=seed, in_order=True)
+    setup = set_up(settings, size=len(layout), seed=seed, scene=LaidOut(layout))
+    return setup.env(len(layout), compiled=settings["compile"], seed=seed, in_order=True)

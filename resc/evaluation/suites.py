@@ -8,8 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from resc.build import nearest
-from resc.errors import ConfigError, shown
+from resc.errors import ConfigError, nearest, shown
 from resc.settings import listed
 
 FLIGHTS = 20

@@ -16,12 +16,10 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from resc import keys
-from resc.build import build_env
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError, RecordingError
 from resc.flying.episodes import RENEWED
 from resc.keys import NestedKey
-from resc.math.sampling import generator_for
 from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS, require_columns
 from resc.recording.configuration import require_groups
 from resc.recording.reader import RolloutLog
@@ -29,7 +27,8 @@ from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import Selection
 from resc.run_folder import finish_run, provenance
 from resc.scenes.laid_out import LaidOut
-from resc.scenes.pool import ScenePool, layout_from
+from resc.scenes.pool import layout_from
+from resc.setup import set_up
 
 STATE = tuple(column.key for column in STATE_COLUMNS)
 FLAGS = (keys.TERMINATED, keys.TRUNCATED)
@@ -166,14 +165,8 @@ def environment_in(
 ) -> QuadrotorEnv:
     """The environment of a configuration, in a pool of recorded scenes `[P, ...]`."""
     layout = layout_from(scenes)
-    pool = ScenePool(
-        LaidOut(layout),
-        size=len(layout),
-        resolution_m=config["env"]["resolution_m"],
-        generator=generator_for(0, "scene_layout"),
-        device=config["device"],
-    )
-    return build_env({**config, "num_envs": num_envs}, pool, in_order=True)
+    setup = set_up(config, size=len(layout), seed=0, scene=LaidOut(layout))
+    return setup.env(num_envs, compiled=config["compile"], in_order=True)
 
 
 def put_back(env: QuadrotorEnv, world: TensorDict) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from resc.build import build, build_env, build_pool, build_terms, load_config
+from resc.build import build, build_terms, load_config
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.envs.stages import Stages
 from resc.errors import ConfigError
@@ -15,7 +15,6 @@ from resc.flying.flights import Flights, fly_recorded, require_time_limit
 from resc.flying.held_out import held_out_rules, tabulate_episodes, write_episodes
 from resc.learning.checkpoint import load_checkpoint
 from resc.learning.ppo import Ppo
-from resc.planning.route import planner_for
 from resc.policies.stored import load_policy, load_weights, policy_folder, require_same_layout
 from resc.run_folder import (
     CHECKPOINT,
@@ -31,6 +30,7 @@ from resc.run_folder import (
 )
 from resc.schema import TrainSchema
 from resc.settings import check_settings, fingerprint, honoured, listed, typed
+from resc.setup import set_up
 from resc.sweep_folder import go_on, require_as_begun
 from resc.term import Curriculum
 
@@ -58,15 +58,13 @@ def build_trainer(config: DictConfig) -> Ppo:
     curricula = build_terms(
         config["curriculum"], "curriculum", Curriculum, config["allowed_targets"]
     )
-    pool = build_pool(
-        config,
-        size=size,
+    setup = set_up(config, size=size, seed=config["seed"], curricula=curricula)
+    env = setup.env(
+        config["num_envs"],
+        compiled=config["compile"],
         seed=config["seed"],
-        device=config["device"],
-        plan=planner_for(config),
-        curricula=curricula,
+        closed=CLOSED_BATCHES * renewed,
     )
-    env = build_env(config, pool, seed=config["seed"], closed=CLOSED_BATCHES * renewed)
     networks = build(
         config["model"],
         "model",
@@ -173,10 +171,8 @@ def build_held_out(config: Mapping[str, Any], episodes: int) -> tuple[QuadrotorE
     rules = held_out_rules(config)
     seed = rules["evaluation_seed"]
     rules |= {"num_envs": episodes, "seed": seed, "recorder": _whole(rules["recorder"])}
-    pool = build_pool(
-        rules, size=episodes, seed=seed, device=rules["device"], plan=planner_for(rules)
-    )
-    return build_env(rules, pool, seed=seed, in_order=True), rules
+    setup = set_up(rules, size=episodes, seed=seed)
+    return setup.env(episodes, compiled=rules["compile"], seed=seed, in_order=True), rules
 
 
 def check_held_out(config: DictConfig, stages: Stages) -> None:

@@ -7,11 +7,10 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from resc import keys
-from resc.build import nearest
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 from resc.envs.trial import watched
-from resc.errors import ConfigError
+from resc.errors import ConfigError, nearest
 from resc.keys import NestedKey
 from resc.term import Curriculum
 

@@ -1,6 +1,6 @@
 """Routes for scenes that only know their goal: shortest path, then control points along it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import hypot
 from typing import Annotated, Any, Literal
@@ -10,14 +10,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from resc.build import arrival_of, build, cell_of
+from resc.build import build, resolved
 from resc.errors import ConfigError, PlanningError
 from resc.maps.cells import shape_of
 from resc.planning.batch import plan_batch
 from resc.planning.control_points import control_points
 from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
-from resc.quantities import LARGEST, NotNegative, Positive, Within
+from resc.quantities import LARGEST, NotNegative, Positive, Within, checked
 from resc.scenes.layout import Layout, rasterize
+from resc.term import CellSize
 
 MAPS_KEPT = 64
 """Prepared maps kept for the next call; random maps are never met again, so few are enough."""
@@ -210,19 +211,28 @@ class RoutePlanner:
         return self._maps[key]
 
 
-def planner_for(config: Mapping[str, Any]) -> RoutePlanner | None:
-    """The planner of a run's configuration; None if it names no search."""
-    if not config.get("search"):
+def planner_for(
+    *,
+    search: Any,  # noqa: ANN401 - nodes, as a configuration holds them
+    task: Any,  # noqa: ANN401
+    env: Any,  # noqa: ANN401
+    allowed: Iterable[str] = (),
+) -> RoutePlanner | None:
+    """The planner that the group `search` describes; None if it is empty.
+
+    Where a flight counts as arrived comes from the group `task`, the cells of the map from `env`.
+    """
+    if not search:
         return None
-    allowed = config.get("allowed_targets", ())
-    task = arrival_of(config)
+    arrival = resolved(resolved(task or {}, "task").get("control_points") or {}, "task")
+    cell_m = checked("env.resolution_m", resolved(env, "env").get("resolution_m"), CellSize)
     return build(
-        config["search"],
+        search,
         "search",
         allowed=allowed,
-        resolution_m=cell_of(config),
-        arrival_radius_m=_number(task.get("radius_m")) or 0.0,
-        arrival_half_height_m=_number(task.get("half_height_m")),
+        resolution_m=cell_m,
+        arrival_radius_m=_number(arrival.get("radius_m")) or 0.0,
+        arrival_half_height_m=_number(arrival.get("half_height_m")),
     )
 
 

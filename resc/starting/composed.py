@@ -12,8 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from resc.build import nearest
-from resc.errors import ConfigError
+from resc.errors import ConfigError, nearest
 
 
 def given() -> list[str]:

@@ -22,9 +22,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from resc.build import nearest
 from resc.command_line import override, shell
-from resc.errors import ConfigError, RescError
+from resc.errors import ConfigError, RescError, nearest
 from resc.run_folder import CONFIG, LATEST, ORIGIN, claimed, latest, sweep_of
 from resc.starting.composed import files_of_lists
 from resc.starting.origin import CHANGEABLE, MULTIRUN, OF_ITS_FOLDER, is_among, key_of, return_to

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from resc.build import nearest
-from resc.errors import ConfigError
+from resc.errors import ConfigError, nearest
 from resc.studies.bootstrap import (
     NOTHING,
     Estimate,

@@ -13,8 +13,7 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 import resc.schema
-from resc.build import build_env, build_pool
-from resc.planning.route import planner_for
+from resc.setup import set_up
 
 ROWS = 3
 
@@ -23,7 +22,7 @@ def make_env(*, compiled):
     resc.schema.register()
     with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
         config = compose("train", [f"num_envs={ROWS}", f"compile={compiled}"])
-    return build_env(config, build_pool(config, size=8, seed=0, plan=planner_for(config)))
+    return set_up(config, size=8, seed=0).env(config["num_envs"], compiled=config["compile"])
 
 
 def graph():

@@ -2,9 +2,9 @@ import pytest
 import torch
 
 from resc import keys
-from resc.build import build_stages
 from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError
+from resc.setup import build_stages
 from resc.term import Context, Observation, Reward
 
 

@@ -4,12 +4,11 @@ import pytest
 import torch
 
 from resc import keys
-from resc.build import build_env, build_pool, build_stages
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError
 from resc.learning.curriculum import Curricula
-from resc.planning.route import planner_for
+from resc.setup import build_stages, set_up
 from resc.term import (
     Action,
     Curriculum,
@@ -27,7 +26,7 @@ from resc.term import (
 def try_out(compose):
     """`try_out(term, group)`: builds the default environment with one more term in a group."""
     config = compose("scene=free", "scene.proposals=1")
-    pool = build_pool(config, size=2, seed=0, plan=planner_for(config))
+    pool = set_up(config, size=2, seed=0).pool
 
     def make(term, group):
         stages = build_stages(config)
@@ -231,12 +230,13 @@ def test_the_trial_draws_nothing_from_anyone(compose):
     torch.manual_seed(7)
     untouched = torch.rand(3)
     torch.manual_seed(7)
-    pool = build_pool(config, size=2, seed=0, plan=planner_for(config))
+    setup = set_up(config, size=2, seed=0)
+    pool = setup.pool
     state = pool.generator.get_state()
-    env = build_env(config, pool, seed=0)
+    env = setup.env(4, compiled=False)
     assert torch.equal(pool.generator.get_state(), state)
     assert torch.equal(torch.rand(3), untouched)
-    fresh = build_env(config, pool, seed=0).generator_states()
+    fresh = setup.env(4, compiled=False).generator_states()
     for name, state in env.generator_states().items():
         assert torch.equal(state, fresh[name])
     assert not env._world

@@ -126,7 +126,8 @@ def test_without_the_dial_nothing_changes(evaluation, stored, override):
 
 def test_every_flight_has_the_limits_that_are_asked(evaluation, with_dial):
     config = asked(evaluation, with_dial, *ASKED)
-    courses = lay_out({"corridor": CORRIDOR}, 2, seed=0, planner=planner_for(with_dial))
+    nodes = {name: with_dial[name] for name in ("search", "task", "env")}
+    courses = lay_out({"corridor": CORRIDOR}, 2, seed=0, planner=planner_for(**nodes))
     env = build_flying_env(courses, settings_for(config, with_dial, own_routes=False))
     env.restart(torch.arange(2))
     assert env.value_of(keys.SPEED_LIMIT)[:, 0].tolist() == [2.0, 2.0]

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from resc.build import build, build_stages
+from resc.build import build
 from resc.envs.quadrotor import layout_of
 from resc.policies.stored import save_policy
+from resc.setup import build_stages
 
 ROOT = Path(__file__).parents[2]
 

@@ -10,12 +10,12 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
-from resc.build import build_stages
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.planning.route import RoutePlanner, planner_for
 from resc.policies.stored import Policy
+from resc.setup import build_stages
 
 SPEED_MPS = 2.0
 CORRIDOR = {
@@ -100,7 +100,9 @@ def evaluation(compose: Callable[..., DictConfig]) -> Callable[..., dict[str, An
 @pytest.fixture(scope="session")
 def planner(stored: DictConfig) -> RoutePlanner:
     """The default planner."""
-    return planner_for(stored)
+    made = planner_for(search=stored["search"], task=stored["task"], env=stored["env"])
+    assert made is not None
+    return made
 
 
 @pytest.fixture(scope="session")

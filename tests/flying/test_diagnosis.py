@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from resc import keys
-from resc.build import build, build_pool, build_stages
+from resc.build import build
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import NumericalError
 from resc.learning.ppo import Ppo
-from resc.planning.route import planner_for
+from resc.setup import build_stages, set_up
 from resc.term import Observation, Reward, Termination
 
 STEPS = 8
@@ -56,7 +56,7 @@ def trainer(compose):
         "algorithm.minibatch=8",
         "task.initial_state.difficulty=null",
     )
-    pool = build_pool(config, size=2, seed=0, plan=planner_for(config))
+    pool = set_up(config, size=2, seed=0).pool
 
     def make(**more):
         stages = build_stages(config)

@@ -5,13 +5,13 @@ import math
 import pytest
 import torch
 
-from resc.build import build_pool
 from resc.errors import ConfigError, PlanningError
 from resc.math.geometry import box_distance
 from resc.math.sampling import generator_for
 from resc.planning.route import RoutePlanner, planner_for
 from resc.scenes.layout import concatenate
 from resc.scenes.named import NamedScene
+from resc.setup import set_up
 
 SETTINGS = {"clearance_m": 0.4, "max_expansions": 1000, "spacing_m": [0.5, 2.0], "nominal_m": 1.5}
 WALL = [3.0, 0.0, 0.5, 3.0]
@@ -125,8 +125,9 @@ def test_wrong_settings_are_refused(wrong):
 
 def test_configuration_without_search_has_no_planner(compose):
     config = compose()
-    assert isinstance(planner_for(config), RoutePlanner)
-    assert planner_for({**config, "search": {}}) is None
+    nodes = {"task": config["task"], "env": config["env"]}
+    assert isinstance(planner_for(search=config["search"], **nodes), RoutePlanner)
+    assert planner_for(search={}, **nodes) is None
 
 
 ARRIVAL = {"arrival_radius_m": 0.5, "arrival_half_height_m": 0.2}
@@ -159,6 +160,6 @@ def test_goals_just_beyond_the_arrival_distance_are_planned_for(goal_m):
 def test_the_tasks_own_distance_counts(compose):
     config = compose("scene=paper1_map11", "scene.goal_m=[1.0,2.3,1.0]")
     with pytest.raises(PlanningError, match=r"goal \(1, 2\.3, 1\) m, and within 0\.5 m"):
-        build_pool(config, size=2, seed=0, plan=planner_for(config))
+        set_up(config, size=2, seed=0)
     config["task"]["control_points"]["radius_m"] = 0.1
-    build_pool(config, size=2, seed=0, plan=planner_for(config))
+    set_up(config, size=2, seed=0)

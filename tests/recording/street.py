@@ -9,12 +9,11 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 
-from resc.build import build_env
 from resc.flying.flights import fly
 from resc.recording import Column, RolloutLog, RolloutRecorder
 from resc.recording.rollouts import open_recorder
 from resc.scenes.layout import Layout
-from resc.scenes.pool import ScenePool
+from resc.setup import set_up
 
 ROUTE = [[1.5, 1.0, 1.0], [2.0, 1.0, 1.0], [2.0, 1.0, 1.0]]
 BOX = [3.0, 0.5, 0.4, 1.0]
@@ -44,8 +43,8 @@ def straight_on(observation: Tensor) -> Tensor:
 def fly_street(config: DictConfig, folder: Path) -> RolloutLog:
     """The recording of two flights along the street."""
     config = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
-    pool = ScenePool(Street(), size=2, resolution_m=0.1, generator=torch.Generator())
-    env = build_env(config, pool, seed=3, in_order=True)
+    setup = set_up(config, size=2, seed=0, scene=Street())
+    env = setup.env(config["num_envs"], compiled=config["compile"], seed=3, in_order=True)
     recorder = open_recorder(
         config, env.stages, directory=folder, outcomes=env.stages.outcomes, num_envs=2
     )

@@ -2,17 +2,18 @@ import pytest
 import torch
 
 from resc import keys
-from resc.build import build, build_pool
+from resc.build import build
 from resc.errors import ConfigError
 from resc.maps.distance_transform import distance_transform
 from resc.math.sampling import generator_for
 from resc.scenes.layout import PARKED_M, Layout, rasterize
 from resc.scenes.pool import ScenePool
+from resc.setup import set_up
 
 
 def make_pool(compose, *overrides, size=12, **options):
     scene = () if any(text.startswith("scene=") for text in overrides) else ("scene=training",)
-    return build_pool(compose(*scene, *overrides), size=size, seed=3, **options)
+    return set_up(compose(*scene, *overrides), size=size, seed=3, **options).pool
 
 
 @pytest.fixture
@@ -102,12 +103,14 @@ def test_a_checkpoint_does_not_change_with_the_pool(pool):
 @pytest.mark.parametrize("scene", ["paper1_map11", "random_boxes"])
 def test_scenes_with_nothing_but_a_goal_need_a_planner(compose, scene):
     with pytest.raises(ConfigError, match="search=visibility"):
-        make_pool(compose, f"scene={scene}", size=2)
+        make_pool(compose, f"scene={scene}", "~search", size=2)
 
 
 @pytest.mark.parametrize("scene", ["paper1_map11", "random_boxes"])
 def test_planned_scenes_can_be_renewed(compose, scene):
-    pool = make_pool(compose, f"scene={scene}", size=4, plan=straight_to_the_goal)
+    made = build(compose(f"scene={scene}")["scene"], "scene")
+    planned = {"generator": torch.Generator(), "plan": straight_to_the_goal}
+    pool = ScenePool(made, size=4, resolution_m=0.1, **planned)
     before = pool.tasks[keys.START_W].clone()
     assert pool.renew(2).tolist() == [0, 1]
     assert not torch.equal(pool.tasks[keys.START_W][:2], before[:2])

@@ -74,7 +74,8 @@ def test_forest_too_dense_for_its_gaps_is_refused():
 def test_most_maps_of_a_family_join_their_ends(scene, name, compose):
     layout = sample(scene(name), 40)
     layout = layout.__class__(**{**vars(layout), "start_w": scene(name).start_m.expand(40, 3)})
-    planner = planner_for(compose())
+    config = compose()
+    planner = planner_for(search=config["search"], task=config["task"], env=config["env"])
     assert sum(planner.joins(layout, number) for number in range(40)) >= 30
 
 

@@ -11,10 +11,11 @@ from made_up_sweep import make_run
 from matplotlib import pyplot as plt
 from omegaconf import OmegaConf
 
-from resc.build import build, build_stages
+from resc.build import build
 from resc.envs.quadrotor import layout_of
 from resc.errors import ConfigError
 from resc.policies.stored import save_policy
+from resc.setup import build_stages
 from resc.studies.score_report import Score, over_seeds, read_score, write_scores
 from resc.studies.scores import as_evaluation, fly_sweep
 from resc.studies.study import Run, Sweep, read_sweep

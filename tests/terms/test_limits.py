@@ -5,9 +5,8 @@ import torch
 from torch.testing import assert_close
 
 from resc import keys
-from resc.build import build_env, build_pool, build_stages
 from resc.errors import ConfigError
-from resc.planning.route import planner_for
+from resc.setup import build_stages, set_up
 from resc.terms.observations.limits import Limits
 from resc.terms.randomizations.limits import Margin, SpeedLimit
 from resc.terms.rewards.collision import Collision as CollisionReward
@@ -26,7 +25,7 @@ def column(*values):
 def dial_env(compose):
     """24 environments of the experiment, just begun."""
     config = compose(EXPERIMENT, "num_envs=24", "obstacle_observation=none")
-    env = build_env(config, build_pool(config, size=24, seed=0, plan=planner_for(config)))
+    env = set_up(config, size=24, seed=0).env(24, compiled=False)
     env.restart(torch.arange(24))
     return env
 

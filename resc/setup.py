@@ -1,0 +1,201 @@
+"""What episodes are flown in, from a run's configuration: built once, and passed on."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from resc import keys
+from resc import term as kinds  # the kinds by name; a flat import list would repeat them
+from resc.build import build, build_term, build_terms, plain, resolved
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import Stages, Terms
+from resc.errors import ConfigError
+from resc.maps.cells import require_room
+from resc.math.sampling import generator_for
+from resc.planning.route import RoutePlanner, planner_for
+from resc.quantities import NotNegative, checked
+from resc.scenes.layout import PARKED_M, Layout, Scene
+from resc.scenes.pool import ScenePool
+from resc.term import Curriculum, Observation, Term
+from resc.terms.randomizations.action_delay import ActionDelay
+from resc.terms.randomizations.limits import Margin
+
+PROBED = 32
+"""Scenes laid out to look at, before a whole pool is."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What episodes are flown in.
+
+    Args:
+        stages: The step and the reset.
+        pool: The scenes that episodes begin in.
+        planner: Plans the routes of scenes that only know their goal; None without a search.
+    """
+
+    stages: Stages
+    pool: ScenePool
+    planner: RoutePlanner | None = None
+
+    def env(self, num_envs: int, **options: Any) -> QuadrotorEnv:
+        """An environment of so many rows; the options are those of `QuadrotorEnv`."""
+        device = self.pool.shared[keys.ESDF].device
+        return QuadrotorEnv(self.stages, self.pool, num_envs=num_envs, device=device, **options)
+
+
+def set_up(
+    config: Mapping[str, Any],
+    *,
+    size: int,
+    seed: int,
+    curricula: Iterable[Curriculum] = (),
+    scene: Scene | None = None,
+) -> Setup:
+    """What a run's configuration flies in.
+
+    Args:
+        config: Of the whole run.
+        size: Scenes of the pool.
+        seed: Of the scenes.
+        curricula: They ease the scenes; without one, difficulty is full.
+        scene: What lays out the scenes, instead of the group `scene`.
+
+    Raises:
+        ConfigError: A name, a number or a combination is wrong.
+    """
+    allowed, device = config.get("allowed_targets", ()), config["device"]
+    stages = build_stages(config)
+    nodes = {name: config.get(name) for name in ("search", "task", "env")}
+    planner = planner_for(**nodes, allowed=allowed)
+    room = {"size": size, "resolution_m": stages.context.resolution_m, "device": device}
+    levels = {term.name: term.levels for term in curricula}
+    pool = ScenePool(
+        scene or build_scene(config["scene"], seed=seed, allowed=allowed, **room),
+        **room,
+        generator=generator_for(seed, "scene_layout"),
+        plan=planner,
+        levels=levels.get(stages.scene_difficulty or "", (1.0,)),
+    )
+    if scene is None:
+        _require_ways(pool.layout, getattr(stages.terms.task, "radius_m", None))
+    return Setup(stages, pool, planner)
+
+
+def build_scene(
+    node: Any,
+    *,
+    size: int,
+    seed: int,
+    resolution_m: float,
+    device: torch.device | str = "cpu",
+    allowed: Iterable[str] = (),
+) -> Scene:
+    """The scene that a node describes, if a pool of `size` of them has room on the device."""
+    scene = build(node, "scene", allowed=allowed, kind=Scene)
+    some = scene.sample(PROBED, generator_for(seed, "scene_layout"))
+    require_room(size, some.size, resolution_m, device)
+    _require_boxes(scene, some)
+    return scene
+
+
+def build_stages(config: Mapping[str, Any]) -> Stages:
+    """The step and the reset of a run's configuration."""
+    allowed = config.get("allowed_targets", ())
+    vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
+    env = resolved(config["env"], "env")
+    layout = checked("env.layout", env.pop("layout", []), Sequence[str])
+    context = build({"_target_": "resc.term.Context", **env}, "env", vehicle=vehicle)
+
+    def group(name: str, kind: type[Term]) -> list[Any]:
+        return build_terms(config.get(name), name, kind, allowed)
+
+    def one(name: str, kind: type[Term] = Term) -> Any:
+        return build(config[name], name, allowed=allowed, kind=kind).named(name)
+
+    def of_task(name: str) -> Any:
+        node = resolved(config["task"], "task").get(name)
+        return build_term(node, f"task.{name}", allowed, Term).named(name)
+
+    terms = Terms(
+        action=one("action", kinds.Action),
+        rate_loop=one("rate_loop"),
+        dynamics=one("dynamics"),
+        task=of_task("control_points"),
+        initial_state=of_task("initial_state"),
+        sensors=group("sensor", kinds.Sensor),
+        terminations=group("termination", kinds.Termination),
+        rewards=group("reward", kinds.Reward),
+        observations=_in_layout(group("observation", Observation), layout),
+        randomizations=group("randomization", kinds.Randomization),
+        metrics=group("metric", kinds.Metric),
+    )
+    if not terms.rewards or not terms.observations or not terms.terminations:
+        raise ConfigError("reward, observation and termination need at least one term each.")
+    scene = config.get("scene") or {}
+    _check_delays(terms)
+    _check_margins(terms, scene.get("clearance_m"))
+    return Stages(terms, context, scene.get("difficulty"))
+
+
+def _require_boxes(scene: Scene, some: Layout) -> None:
+    """Guards that leave no room for any box would make a free scene without a word."""
+    wanted = getattr(scene, "boxes", 0)
+    if isinstance(wanted, int) and wanted and not (some.boxes_w[..., 0] < PARKED_M).any():
+        raise ConfigError(
+            f"scene.boxes is {wanted}, but {len(some)} scenes have not a single one: none is far "
+            "enough from start, goal or path; lower the distances to keep clear, or set "
+            "scene.boxes=0."
+        )
+
+
+def _require_ways(layout: Layout, radius_m: object) -> None:
+    """An arrival that reaches from all goals to their starts leaves nothing to fly."""
+    last = layout.route_length.clamp(min=1).unsqueeze(-1).expand(-1, 1, 3) - 1
+    goal = layout.route_w.gather(1, last)[:, 0]
+    farthest_m = float(torch.linalg.vector_norm((goal - layout.start_w)[:, :2], dim=-1).max())
+    if isinstance(radius_m, int | float) and farthest_m <= radius_m and len(layout) > 1:
+        raise ConfigError(
+            f"task.control_points.radius_m is {radius_m}, but no goal is farther than "
+            f"{farthest_m:.3g} m from its start; lower it."
+        )
+
+
+def _check_delays(terms: Terms) -> None:
+    """A delay that the action's queue cannot hold would be cut without a word."""
+    held = getattr(terms.action, "dims", {}).get("d", 1) - 1
+    for term in terms.randomizations:
+        if isinstance(term, ActionDelay) and term.longest_steps > held:
+            raise ConfigError(
+                f"randomization.{term.name}.longest_steps is {term.longest_steps}, but the "
+                f"action's queue holds {held}; raise action.longest_delay_steps."
+            )
+
+
+def _check_margins(terms: Terms, clearance_m: Any) -> None:
+    """Margins that follow the scene's routes and are said to be others would be cut, or never met.
+
+    Equal ends fix the margin whatever the routes keep.
+    """
+    if clearance_m is None:
+        return
+    kept = checked("scene.clearance_m", plain(clearance_m), Sequence[NotNegative])
+    for term in terms.randomizations:
+        if not isinstance(term, Margin) or len(set(term.margin_m)) == 1:
+            continue
+        met = [round(end - term.headroom_m, 6) for end in kept]
+        if met != [round(end, 6) for end in term.margin_m]:
+            raise ConfigError(
+                f"randomization.{term.name}.margin_m is {list(term.margin_m)}, but routes keep "
+                f"scene.clearance_m={kept}, less {term.headroom_m:g} m of headroom "
+                f"{met}; set scene.clearance_m="
+                f"{[round(end + term.headroom_m, 6) for end in term.margin_m]}."
+            )
+
+
+def _in_layout(observations: list[Observation], layout: Iterable[str]) -> list[Observation]:
+    """Observations in the order of `layout`; those it does not name follow as configured."""
+    order = {name: number for number, name in enumerate(layout)}
+    return sorted(observations, key=lambda term: order.get(term.name, len(order)))
