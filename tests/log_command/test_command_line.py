@@ -115,8 +115,8 @@ def test_a_full_disk_is_told_with_the_name_of_the_output(
     code, _, error = call(command[0], recording, *command[1:], "--out", "mine.png", "--force")
     assert code == 1
     assert error == (
-        "error: mine.png cannot be written: No space left on device. Choose another folder or free "
-        "some space."
+        "error: mine.png cannot be written (No space left on device); choose another folder or "
+        "free some space."
     )
     assert [path.name for path in tmp_path.iterdir()] == ["mine.png"]
     assert output.read_bytes() == b"precious"
