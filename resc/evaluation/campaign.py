@@ -29,6 +29,7 @@ from resc.evaluation.statistics import asked, join, report_scenes, tabulate
 from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
 from resc.flying.flights import Flights, fly_recorded
+from resc.flying.pilot import Pilot, PolicyPilot
 from resc.planning.route import planner_for
 from resc.planning.time_optimal import Limits
 from resc.policies.stored import Policy
@@ -74,7 +75,7 @@ def evaluate(
     folder.mkdir(parents=True, exist_ok=True)
     OmegaConf.save(OmegaConf.create(dict(config)), folder / "config.yaml")
     rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}
-    flown = fly_courses(courses, policy, rules, folder, overrides)
+    flown = fly_courses(courses, PolicyPilot(policy), rules, folder, overrides)
     measured_by = {course.name: references_of(course, limits, references) for course in courses}
     arrival = {own: radius_of(rules[own]) for own in rules}
     tables = [
@@ -144,7 +145,7 @@ def references_of(course: Course, limits: Limits, references: References) -> lis
 
 def fly_courses(
     courses: Sequence[Course],
-    policy: Policy,
+    pilot: Pilot,
     rules: Mapping[bool, Settings],
     folder: Path,
     overrides: Sequence[str] = (),
@@ -153,7 +154,7 @@ def fly_courses(
 
     Args:
         courses: What to fly.
-        policy: What flies.
+        pilot: What flies.
         rules: Settings of the environment, by whether the scenes bring their own routes.
         folder: Where the recordings go, each set of rules in one of its own.
         overrides: Of the command, for the recordings.
@@ -161,7 +162,7 @@ def fly_courses(
     flown: dict[str, Flights] = {}
     for directory, group in _flown_together(courses, folder).items():
         settings = rules[group[0].own_routes]
-        flown |= _fly_together(group, policy, settings, directory, overrides)
+        flown |= _fly_together(group, pilot, settings, directory, overrides)
     return flown
 
 
@@ -178,13 +179,13 @@ def _flown_together(courses: Sequence[Course], folder: Path) -> dict[Path, list[
 
 def _fly_together(
     courses: Sequence[Course],
-    policy: Policy,
+    pilot: Pilot,
     settings: Settings,
     directory: Path,
     overrides: Sequence[str],
 ) -> dict[str, Flights]:
     env = build_flying_env(courses, settings)
-    flights = fly_recorded(env, policy, settings, directory, overrides)
+    flights = fly_recorded(env, pilot, settings, directory, overrides)
     flown, first = {}, 0
     for course in courses:
         flown[course.name] = flights.rows(first, first + len(course))

@@ -1,7 +1,7 @@
 """Closed-loop flights: every row of an environment flies exactly one episode."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,11 @@ from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 from resc.errors import ConfigError
 from resc.flying.flight_log import FlightLog
-from resc.policies.stored import Policy as TrainedPolicy
+from resc.flying.pilot import Pilot
 from resc.recording.rollouts import open_recorder
 from resc.recording.writer import RolloutRecorder
 from resc.terms.terminations.collision import Collision
 from resc.terms.terminations.contact import Contact
-
-Policy = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Flights:
 @torch.no_grad()
 def fly(
     env: QuadrotorEnv,
-    policy: Policy,
+    pilot: Pilot,
     *,
     trace: bool = True,
     recorder: RolloutRecorder | None = None,
@@ -100,15 +98,16 @@ def fly(
     require_time_limit(env.stages)
     began = time.perf_counter()
     observation = env.restart(torch.arange(env.num_envs))
+    pilot.begin(env.num_envs, env.stages, env.pool.shared)
     log = None if recorder is None else FlightLog(recorder, env)
     over = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=env.device)
     outcome, steps, counted = (torch.zeros_like(over, dtype=torch.int64) for _ in range(3))
     traces, dt_s = [_state_of(env)], env.stages.context.dt_s
     with tqdm(total=env.num_envs, desc="flying", unit="flight", leave=False) as bar:
         while not over.all():
-            # A row that waits hovers: its state is put back, but must stay finite until then.
-            action = torch.where(over, 0.0, policy(observation))
             before = env.world
+            # A row that waits hovers: its state is put back, but must stay finite until then.
+            action = torch.where(over, 0.0, pilot.act(before, observation))
             counted += ~(over | env.value_of(keys.FINISHED))
             out = env.advance(action)
             observation = out.observation
@@ -144,7 +143,7 @@ def fly(
 
 def fly_recorded(
     env: QuadrotorEnv,
-    policy: TrainedPolicy,
+    pilot: Pilot,
     config: Mapping[str, Any],
     directory: Path,
     overrides: Sequence[str] = (),
@@ -155,27 +154,27 @@ def fly_recorded(
 
     Args:
         env: What is flown.
-        policy: What flies.
+        pilot: What flies.
         config: What the environment was built from; stored with the recording.
         directory: Where the recording goes.
         overrides: Of the command, for the recording.
         trace: Whether positions and velocities are kept.
 
     Raises:
-        CheckpointError: The policy expects another observation than the environment gives.
+        RescError: The pilot cannot fly this environment.
     """
-    policy.require_layout(env.stages)
+    pilot.check(env.stages)
     recorder = open_recorder(
         OmegaConf.create(dict(config)),
         env.stages,
         directory=directory,
         outcomes=env.stages.outcomes,
         num_envs=env.num_envs,
-        policy=policy.head,
+        facts={"pilot": pilot.name, **pilot.facts()},
         overrides=overrides,
     )
     try:
-        return fly(env, policy, trace=trace, recorder=recorder)
+        return fly(env, pilot, trace=trace, recorder=recorder)
     finally:
         if recorder is not None:
             recorder.close()

@@ -13,6 +13,7 @@ from resc.envs.stages import Stages
 from resc.errors import ConfigError
 from resc.flying.flights import Flights, fly_recorded, require_time_limit
 from resc.flying.held_out import held_out_rules, tabulate_episodes, write_episodes
+from resc.flying.pilot import PolicyPilot
 from resc.learning.checkpoint import load_checkpoint
 from resc.learning.ppo import Ppo
 from resc.policies.stored import load_policy, load_weights, policy_folder, require_same_layout
@@ -199,8 +200,8 @@ def fly_held_out(config: DictConfig, folder: Path, overrides: Sequence[str] = ()
     if (folder / HELD_OUT).exists():
         shutil.rmtree(folder / HELD_OUT)
     env, rules = build_held_out(config, config["evaluation_episodes"])
-    policy = load_policy(folder, rules["device"], rules["allowed_targets"])
-    flights = fly_recorded(env, policy, rules, folder / HELD_OUT, overrides, trace=False)
+    pilot = PolicyPilot(load_policy(folder, rules["device"], rules["allowed_targets"]))
+    flights = fly_recorded(env, pilot, rules, folder / HELD_OUT, overrides, trace=False)
     write_episodes(folder / EPISODES, tabulate_episodes(flights, env.pool))
     return flights
 

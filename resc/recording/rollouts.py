@@ -32,15 +32,18 @@ def open_recorder(
     outcomes: tuple[str, ...],
     num_envs: int,
     policy: nn.Module | None = None,
+    facts: Mapping[str, str] | None = None,
     overrides: Sequence[str] = (),
 ) -> RolloutRecorder | None:
     """A run's recorder with metadata and configuration attached; None where recorder=none.
 
-    The metadata name the `policy` that flies first by its digest, and the command's `overrides`.
+    The metadata name the `policy` that flies first by its digest, or the `facts` of another pilot,
+    and the command's `overrides`.
     """
     if not config.get("recorder"):
         return None
-    metadata = {**provenance(), "seed": str(config["seed"]), "device": str(config["device"])}
+    metadata = {**(facts or {}), **provenance()}
+    metadata |= {"seed": str(config["seed"]), "device": str(config["device"])}
     metadata |= {"overrides": " ".join(overrides)}
     if policy is not None:
         metadata["policy_sha256"] = digest(policy)

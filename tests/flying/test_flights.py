@@ -8,6 +8,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.evaluation.setting import settings_for
 from resc.flying.flights import fly
+from resc.flying.pilot import PolicyPilot
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import open_recorder
 
@@ -34,7 +35,7 @@ def flights(corridor, flying, policy, evaluation, stored, folder):
         OmegaConf.create(config), env.stages, directory=folder, outcomes=outcomes, num_envs=6
     )
     with recorder:
-        return course, fly(env, policy, recorder=recorder)
+        return course, fly(env, PolicyPilot(policy), recorder=recorder)
 
 
 @pytest.fixture(scope="module")
@@ -103,16 +104,17 @@ def test_part_of_the_flights_keeps_their_numbers(flights):
 
 def test_without_trace_only_the_start_is_kept(corridor, flying, policy):
     env = flying([corridor(1)], "termination.time_limit.limit_s=0.1")
-    assert fly(env, policy, trace=False).position_w.shape == (1, 1, 3)
+    assert fly(env, PolicyPilot(policy), trace=False).position_w.shape == (1, 1, 3)
 
 
 def test_flights_that_may_never_end_are_refused(corridor, flying, policy):
     with pytest.raises(ConfigError, match="no time limit"):
-        fly(flying([corridor(1)], "~termination.time_limit"), policy)
+        fly(flying([corridor(1)], "~termination.time_limit"), PolicyPilot(policy))
 
 
 def test_time_limit_ends_a_flight(corridor, flying, policy):
-    flown = fly(flying([corridor(1)], "termination.time_limit.limit_s=0.5"), policy)
+    env = flying([corridor(1)], "termination.time_limit.limit_s=0.5")
+    flown = fly(env, PolicyPilot(policy))
     assert flown.names == ["time_limit"]
     assert flown.steps.tolist() == [25]
 

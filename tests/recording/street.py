@@ -6,10 +6,11 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from resc.flying.flights import fly
+from resc.flying.pilot import Pilot
 from resc.recording import Column, RolloutLog, RolloutRecorder
 from resc.recording.rollouts import open_recorder
 from resc.scenes.layout import Layout
@@ -33,11 +34,13 @@ class Street:
         )
 
 
-def straight_on(observation: Tensor) -> Tensor:
+class StraightOn(Pilot):
     """Tilts forward a little, with thrust to hold the height."""
-    action = torch.zeros(len(observation), 4)
-    action[:, 1], action[:, 3] = 0.05, 0.04
-    return action
+
+    def act(self, world: TensorDictBase, observation: Tensor) -> Tensor:
+        action = torch.zeros(len(observation), 4)
+        action[:, 1], action[:, 3] = 0.05, 0.04
+        return action
 
 
 def fly_street(config: DictConfig, folder: Path) -> RolloutLog:
@@ -50,7 +53,7 @@ def fly_street(config: DictConfig, folder: Path) -> RolloutLog:
     )
     assert recorder is not None
     with recorder:
-        fly(env, straight_on, recorder=recorder)
+        fly(env, StraightOn(), recorder=recorder)
     return RolloutLog(folder)
 
 
