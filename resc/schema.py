@@ -1,5 +1,6 @@
 """Run-level settings and their types; every other number lives with the part it configures."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -7,13 +8,28 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
 from resc.errors import ConfigError
+from resc.groups import BOUND, EVALUATE, EVERY, GROUPS, TRAIN
 from resc.run_folder import new_folder
 
 LONGEST_NAME = 200
 """Of a run [bytes]; file systems allow 255, and the time comes before."""
 
 
+def with_groups(*runs: str) -> Callable[[type], type]:
+    """Adds the groups that all of these kinds of runs have to the fields of a schema."""
+
+    def add(schema: type) -> type:
+        for group in GROUPS:
+            if set(runs) <= set(group.runs):
+                schema.__annotations__[group.name] = dict[str, Any]
+                setattr(schema, group.name, field(default_factory=dict))
+        return schema
+
+    return add
+
+
 @dataclass
+@with_groups(*EVERY)
 class RunSchema:
     """What `train.py`, `evaluate.py` and `resc.evaluation.bound` share.
 
@@ -25,7 +41,7 @@ class RunSchema:
         compile: Compile the step and the update; false is slower and easier to debug.
         allowed_targets: Prefixes of `_target_` outside resc that may be built, e.g. [mypackage.].
 
-    The other fields are the configuration groups, filled from the folders of their names.
+    The other fields are the groups of `resc.groups`, filled from the folders of their names.
     """
 
     name: str = "run"
@@ -34,24 +50,10 @@ class RunSchema:
     threads: int = 1
     compile: bool = True
     allowed_targets: list[str] = field(default_factory=list)
-    env: dict[str, Any] = field(default_factory=dict)
-    vehicle: dict[str, Any] = field(default_factory=dict)
-    action: dict[str, Any] = field(default_factory=dict)
-    rate_loop: dict[str, Any] = field(default_factory=dict)
-    dynamics: dict[str, Any] = field(default_factory=dict)
-    task: dict[str, Any] = field(default_factory=dict)
-    scene: dict[str, Any] = field(default_factory=dict)
-    sensor: dict[str, Any] = field(default_factory=dict)
-    observation: dict[str, Any] = field(default_factory=dict)
-    termination: dict[str, Any] = field(default_factory=dict)
-    reward: dict[str, Any] = field(default_factory=dict)
-    randomization: dict[str, Any] = field(default_factory=dict)
-    metric: dict[str, Any] = field(default_factory=dict)
-    recorder: dict[str, Any] = field(default_factory=dict)
-    search: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
+@with_groups(TRAIN)
 class TrainSchema(RunSchema):
     """What only training needs.
 
@@ -81,13 +83,10 @@ class TrainSchema(RunSchema):
     init_from: str | None = None
     resume: str | None = None
     checkpoint_every_s: float = 60.0
-    curriculum: dict[str, Any] = field(default_factory=dict)
-    model: dict[str, Any] = field(default_factory=dict)
-    algorithm: dict[str, Any] = field(default_factory=dict)
-    logger: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
+@with_groups(EVALUATE)
 class EvaluateSchema(RunSchema):
     """What only an evaluation needs.
 
@@ -117,17 +116,16 @@ class EvaluateSchema(RunSchema):
     seed: int = 1_000_003
     compile: bool = False
     policy: str = "policies/obstacles"
-    suite: dict[str, Any] = field(default_factory=dict)
     scenes: Any = None
     maps: int | None = None
     flights: int | None = None
     scene_files: int = 1
     references: str | None = None
     replay: str | None = None
-    limits: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
+@with_groups(BOUND)
 class BoundSchema(RunSchema):
     """What `python -m resc.evaluation.bound` needs.
 
@@ -143,13 +141,11 @@ class BoundSchema(RunSchema):
 
     name: str = "bound"
     seed: int = 1_000_003
-    suite: dict[str, Any] = field(default_factory=dict)
     scenes: Any = None
     maps: int | None = None
     flights: int | None = None
     references: str | None = None
     missing: bool = False
-    limits: dict[str, Any] = field(default_factory=dict)
 
 
 def folder_name(name: object) -> str:

@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from resc.errors import ConfigError, nearest
+from resc.groups import GROUPS, TASK
 from resc.schema import RunSchema, folder_name
 from resc.sweep_folder import go_on
 
@@ -33,8 +34,6 @@ LEAST: dict[str, int] = {
     "scene_files": 0,
 }
 """Smallest value of each whole number."""
-TASK = ("control_points", "initial_state")
-"""What a task is made of."""
 RESUMABLE = (
     "total_frames",
     "threads",
@@ -58,7 +57,7 @@ def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
     """
     known = {field.name for field in fields(schema)}
     _refuse_unknown(config, known, "")
-    groups = {field.name for field in fields(schema) if field.type == dict[str, Any]}
+    groups = [group.name for group in GROUPS if group.name in known]
     _refuse_unknown(config.get("task") or {}, TASK, "task.")
     _refuse_unknown(config.get("held_out") or {}, groups, "held_out.")
     for name, least in LEAST.items():

@@ -7,11 +7,11 @@ from typing import Any
 import torch
 
 from resc import keys
-from resc import term as kinds  # the kinds by name; a flat import list would repeat them
 from resc.build import build, build_term, build_terms, plain, resolved
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError
+from resc.groups import GROUPS, TASK, Group
 from resc.maps.cells import require_room
 from resc.math.sampling import generator_for
 from resc.planning.route import RoutePlanner, planner_for
@@ -109,35 +109,30 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
     layout = checked("env.layout", env.pop("layout", []), Sequence[str])
     context = build({"_target_": "resc.term.Context", **env}, "env", vehicle=vehicle)
 
-    def group(name: str, kind: type[Term]) -> list[Any]:
-        return build_terms(config.get(name), name, kind, allowed)
-
-    def one(name: str, kind: type[Term] = Term) -> Any:
-        return build(config[name], name, allowed=allowed, kind=kind).named(name)
-
-    def of_task(name: str) -> Any:
-        node = resolved(config["task"], "task").get(name)
-        return build_term(node, f"task.{name}", allowed, Term).named(name)
-
-    terms = Terms(
-        action=one("action", kinds.Action),
-        rate_loop=one("rate_loop"),
-        dynamics=one("dynamics"),
-        task=of_task("control_points"),
-        initial_state=of_task("initial_state"),
-        sensors=group("sensor", kinds.Sensor),
-        terminations=group("termination", kinds.Termination),
-        rewards=group("reward", kinds.Reward),
-        observations=_in_layout(group("observation", Observation), layout),
-        randomizations=group("randomization", kinds.Randomization),
-        metrics=group("metric", kinds.Metric),
-    )
+    parts = {
+        group.stage: _build_group(group, config.get(group.name), allowed)
+        for group in GROUPS
+        if group.stage
+    }
+    parts["observations"] = _in_layout(parts["observations"], layout)
+    task = resolved(config["task"], "task")
+    for name, stage in TASK.items():
+        parts[stage] = build_term(task.get(name), f"task.{name}", allowed, Term).named(name)
+    terms = Terms(**parts)
     if not terms.rewards or not terms.observations or not terms.terminations:
         raise ConfigError("reward, observation and termination need at least one term each.")
     scene = config.get("scene") or {}
     _check_delays(terms)
     _check_margins(terms, scene.get("clearance_m"))
     return Stages(terms, context, scene.get("difficulty"))
+
+
+def _build_group(group: Group, node: Any, allowed: Iterable[str]) -> Any:
+    """The terms of a group, or its only one."""
+    assert group.kind is not None
+    if group.several:
+        return build_terms(node, group.name, group.kind, allowed)
+    return build(node, group.name, allowed=allowed, kind=group.kind).named(group.name)
 
 
 def _require_boxes(scene: Scene, some: Layout) -> None:

@@ -15,10 +15,12 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from resc.groups import GROUPS, names
+
 CONF = Path(__file__).parents[1] / "conf"
-LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric")
+LISTS = names(lambda group: group.several and group.stage)
 """Groups of several parts, which stand in the configuration under their names."""
-PACKAGES = {"obstacle_observation": "observation"}
+PACKAGES = {folder: group.name for group in GROUPS for folder in group.folders}
 NO_PARTS = ("experiment", "study", "hydra")
 
 POSITIVE, NONNEGATIVE, SHARE = (1e-300, math.inf), (0, math.inf), (0, 1)

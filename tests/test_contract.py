@@ -14,6 +14,7 @@ from torch.testing import assert_close
 
 from resc import term as kinds
 from resc.build import build, build_terms
+from resc.groups import GROUPS, TASK
 from resc.keys import (
     ACTION,
     CURRICULUM_DIFFICULTY,
@@ -26,24 +27,16 @@ from resc.keys import (
     TRUNCATED,
 )
 from resc.planning.route import planner_for
-from resc.simulation.rate_loop import RateLoop
-from resc.simulation.rigid_body import RigidBody
 from resc.simulation.vehicle import Vehicle
 
 CONF = Path(__file__).parents[1] / "conf"
 COUNT = 6
 PERMUTATION = torch.tensor([3, 0, 5, 1, 4, 2])
 
-LISTS = {
-    "sensor": kinds.Sensor,
-    "observation": kinds.Observation,
-    "obstacle_observation": kinds.Observation,
-    "termination": kinds.Termination,
-    "reward": kinds.Reward,
-    "randomization": kinds.Randomization,
-    "metric": kinds.Metric,
-}
-SINGLES = {"action": kinds.Action, "rate_loop": RateLoop, "dynamics": RigidBody}
+STEP = [group for group in GROUPS if group.stage]
+LISTS = {folder: g.kind for g in STEP if g.several for folder in (g.name, *g.folders)}
+FURTHER = [folder for group in STEP for folder in group.folders]
+SINGLES = {g.name: g.kind for g in STEP if not g.several}
 
 
 def names(group):
@@ -75,10 +68,7 @@ def parts(load_part):
         if group in SINGLES:
             terms = [build(node, group).named(group)]
         elif group == "task":
-            terms = [
-                build(plain(node[part]), f"task.{part}").named(part)
-                for part in ("control_points", "initial_state")
-            ]
+            terms = [build(plain(node[part]), f"task.{part}").named(part) for part in TASK]
         else:
             terms = build_terms(node, group, LISTS[group])
         for term in terms:
@@ -95,7 +85,7 @@ def plain(node):
 
 def every_list():
     """Overrides that choose every part of every group that takes a list."""
-    chosen = {group: names(group) for group in LISTS if group != "obstacle_observation"}
+    chosen = {group: names(group) for group in LISTS if group not in FURTHER}
     chosen = {g: [n for n in found if not is_set(g, n)] for g, found in chosen.items()}
     chosen["sensor"].sort(key=lambda name: name != "euler")  # others read it
     lists = [f"{group}=[{','.join(found)}]" for group, found in chosen.items()]
@@ -165,7 +155,7 @@ def run(term, flight, rows=None):
 @pytest.mark.parametrize(("group", "name"), TERMS)
 def test_a_term_builds_under_the_name_of_its_file(parts, group, name):
     terms = parts(group, name)
-    if group in LISTS and group != "obstacle_observation" and not is_set(group, name):
+    if group in LISTS and group not in FURTHER and not is_set(group, name):
         assert [term.name for term in terms] == [name]
     for term in terms:
         assert isinstance(term, (LISTS | SINGLES).get(group, kinds.Term))

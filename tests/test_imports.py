@@ -9,7 +9,9 @@ PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
     {"errors", "keys"},
     {"console", "math", "process", "quantities", "run_folder", "command_line"},
-    {"term", "sweep_folder", "schema"},
+    {"term", "sweep_folder"},
+    {"groups"},
+    {"schema"},
     {"build", "settings", "starting"},
     {"simulation", "maps"},
     {"scenes"},

@@ -5,12 +5,17 @@ from typing import Any
 
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.evaluation.courses import Course
+from resc.groups import names
 from resc.scenes.laid_out import LaidOut
 from resc.scenes.layout import concatenate
 from resc.setup import set_up
 
-STORED = ("env", "vehicle", "action", "rate_loop", "dynamics", "observation", "reward")
+POLICYS = names(lambda group: group.owner == "policy")
 """Groups taken from the policy's configuration, unless the command line names one."""
+SCENES = names(lambda group: group.owner == "scene")
+"""Groups taken from it where a scene brings its own routes, too."""
+OWN = names(lambda group: group.owner == "evaluation" and group.stage)
+"""Terms that are the evaluation's, whatever flies; the policy's sensors join its own."""
 MEASURING = ("limit_violations", "surface_clearance")
 """Sensors that metrics and terminations read: the evaluation's, not those of the training."""
 RUN = ("allowed_targets", "device", "compile", "seed", "recorder")
@@ -25,11 +30,11 @@ def settings_for(
     `config`. Scenes with routes of their own are flown under the stored task and terminations.
     """
     settings = {key: config[key] for key in RUN}
-    settings |= {group: config.get(group) or stored[group] for group in STORED}
+    settings |= {group: config.get(group) or stored.get(group, {}) for group in POLICYS}
     settings["env"] = {**stored["env"], **(config.get("env") or {})}  # numbers, each for itself
     rules = stored if own_routes else config
-    settings |= {group: rules[group] for group in ("task", "termination")}
-    settings |= {group: config[group] for group in ("metric", "randomization")}
+    settings |= {group: rules[group] for group in SCENES}
+    settings |= {group: config[group] for group in OWN}
     measuring = {name: config["sensor"][name] for name in MEASURING if name in config["sensor"]}
     settings["sensor"] = {**config["sensor"], **(stored["sensor"] or {}), **measuring}
     return settings

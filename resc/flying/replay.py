@@ -19,6 +19,7 @@ from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError, RecordingError
 from resc.flying.episodes import RENEWED
+from resc.groups import NEEDED
 from resc.keys import NestedKey
 from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS, require_columns
 from resc.recording.configuration import require_groups
@@ -32,8 +33,6 @@ from resc.setup import set_up
 
 STATE = tuple(column.key for column in STATE_COLUMNS)
 FLAGS = (keys.TERMINATED, keys.TRUNCATED)
-GROUPS = ("device", "env", "vehicle", "action", "rate_loop", "dynamics", "task", "observation")
-"""Parts of a configuration without which nothing flies."""
 OUTPUTS = (keys.REWARD, REWARD_TERMS, *FLAGS)
 
 
@@ -151,7 +150,7 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
 def recorded_config(log: RolloutLog | Selection, allowed: Sequence[str] = ()) -> dict[str, Any]:
     """The configuration of a recording, for this machine, with the prefixes its reader allows."""
     stored = log.config
-    require_groups(stored, GROUPS)
+    require_groups(stored, ("device", *NEEDED))
     config = cast(dict[str, Any], OmegaConf.to_container(stored, resolve=True))
     config["device"] = str(config["device"])  # whatever it is, torch says what it may be
     config["allowed_targets"] = list(allowed)  # a recording cannot opt in for its reader

@@ -24,13 +24,14 @@ from omegaconf.errors import OmegaConfBaseException
 
 from resc.command_line import override, shell
 from resc.errors import ConfigError, RescError, nearest
+from resc.groups import names
 from resc.run_folder import CONFIG, LATEST, ORIGIN, claimed, latest, sweep_of
 from resc.starting.composed import files_of_lists
 from resc.starting.origin import CHANGEABLE, MULTIRUN, OF_ITS_FOLDER, is_among, key_of, return_to
 from resc.sweep_folder import arguments_of, go_on, is_sweep, permissions
 
 CONF = Path(__file__).parents[2] / "conf"
-LISTS = ("sensor", "observation", "termination", "reward", "randomization", "metric", "suite")
+LISTS = names(lambda group: group.several)
 """Groups of which a configuration takes several files."""
 PATHS = ("resume", "policy", "replay", "references")
 """Settings whose value is a path, typed as it is."""

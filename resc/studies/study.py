@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from resc.build import load_config
 from resc.errors import ConfigError
 from resc.flying.held_out import Episodes, held_out_rules, read_episodes
+from resc.groups import names
 from resc.run_folder import (
     CONFIG,
     EPISODES,
@@ -26,7 +27,7 @@ from resc.run_folder import (
 from resc.sweep_folder import begun_as, go_on, origin_of, require_as_begun
 
 PROGRESS = "progress.csv"
-TASK = ("scene", "task", "vehicle", "rate_loop", "dynamics", "termination", "randomization", "env")
+TASK = names(lambda group: group.compared)
 """Groups that held-out flights must share to be compared."""
 OWN_ENV = ("layout", "history", "observation_frame")
 """Entries of `env` that say what the policy sees, not what it flies."""

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.build import build, build_terms
+from resc.groups import NEEDED as NEEDED_GROUPS
 from resc.maps.cells import extent_of, shape_of
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
@@ -32,8 +33,6 @@ from resc.viewing.sight import Pose, Shape, shapes
 CONFIG = "config.yaml"
 NEEDED = (*FLOWN, keys.REWARD, REWARD_TERMS)
 """Columns that a scene is drawn from."""
-GROUPS = ("env", "vehicle", "action", "task", "observation")
-"""Parts of the configuration that a scene is drawn from."""
 
 Tensors = dict[keys.NestedKey, Tensor]
 
@@ -124,7 +123,7 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
     steps = log.episode(episode)
     require_columns(steps, NEEDED, "a scene")
     stored = log.config
-    require_groups(stored, GROUPS)
+    require_groups(stored, NEEDED_GROUPS)
     nodes_in(stored, "task", ("control_points",))
     (resolution,) = numbers_at(stored, "env.resolution_m", 1)
     facts = _facts(log, episode)
