@@ -18,6 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
 from resc.console import logged
+from resc.errors import ExitCode
 from resc.learning.assemble import (
     build_trainer,
     check_held_out,
@@ -82,7 +83,8 @@ def run(config: DictConfig, folder: Path, overrides: Sequence[str]) -> None:
         summary = train_and_save(trainer, config, folder, overrides)
         again = go_on(folder, config["allowed_targets"])
         if trainer.frames < config["total_frames"]:
-            sys.exit(f"Stopped after {trainer.frames} frames. Go on with: {again}")
+            print(f"Stopped after {trainer.frames} frames. Go on with: {again}", file=sys.stderr)
+            sys.exit(ExitCode.UNFINISHED)
         try:
             flights = fly_held_out(config, folder, overrides)
         except BaseException as error:

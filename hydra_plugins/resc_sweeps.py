@@ -19,7 +19,8 @@ from resc.starting.origin import key_of, python_path, require_own_folder, says_h
 from resc.studies.study import differing
 from resc.sweep_folder import difference, plain
 from resc.sweeps.jobs import Job, Outcome
-from resc.sweeps.sweep import Backend, report, require_success, run_sweep
+from resc.sweeps.launchers import Backend
+from resc.sweeps.sweep import report, require_success, run_sweep
 
 SUBDIR = "${hydra.job.num}"
 
@@ -50,7 +51,7 @@ class SweepLauncher(Launcher):
             self.wanted or {}, "hydra.launcher.backend", allowed=config["allowed_targets"]
         )
         if not isinstance(self.backend, Backend):
-            raise ConfigError("hydra.launcher.backend has no run(); choose launcher=serial.")
+            raise ConfigError("hydra.launcher.backend has no run(); choose launcher=local.")
         self.folder = Path(str(config.hydra.sweep.dir)).resolve()
         self.options = (*_configuration_flags(config), *_handed_on(config), "hydra.mode=RUN")
         require_own_folder(self.folder)
@@ -124,7 +125,7 @@ def refuse_what_runs_cannot_follow(config: DictConfig) -> None:
     if config.hydra.sweeper.get("max_batch_size") is not None:
         raise ConfigError(
             "hydra.sweeper.max_batch_size is set, but the launcher says how many runs go at a "
-            "time; use launcher=joblib hydra.launcher.backend.n_jobs=..."
+            "time; use hydra.launcher.backend.jobs=..."
         )
     if "hydra.mode=RUN" in config.hydra.overrides.hydra:
         raise ConfigError("hydra.mode=RUN is of a single run; leave out it or -m.")

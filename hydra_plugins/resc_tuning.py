@@ -21,7 +21,8 @@ from resc.errors import ConfigError, SweepError, nearest
 from resc.run_folder import SUMMARY, summary_of
 from resc.sweep_folder import go_on
 from resc.sweeps.jobs import Outcome
-from resc.sweeps.sweep import needed, require_success
+from resc.sweeps.launchers import needed
+from resc.sweeps.sweep import require_success
 
 DATABASE = "optuna.db"
 
@@ -65,7 +66,7 @@ class OptunaSweeper(Sweeper):
             hydra_context=hydra_context, task_function=task_function, config=config
         )
         if not isinstance(launcher, SweepLauncher):
-            raise ConfigError("hydra.launcher is not ours; the sweeper needs launcher=serial etc.")
+            raise ConfigError("hydra.launcher is not ours; the sweeper needs launcher=local etc.")
         self.launcher: SweepLauncher = launcher
 
     def sweep(self, arguments: list[str]) -> None:

@@ -15,6 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from resc.errors import ConfigError, RescError, nearest, shown
+from resc.moved import today
 from resc.quantities import checked
 from resc.term import Curriculum, Term
 
@@ -22,16 +23,6 @@ ALLOWED = ("resc.", "torch.optim.")
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
 FUNCTIONS = ("resc.policies.networks.build_networks",)
 """Our only targets that are functions: others, `build` for one, would build what they are told."""
-
-
-MOVED = {
-    "resc.learning.networks.": "resc.policies.networks.",
-    "resc.sweeps.Joblib": "resc.sweeps.sweep.Joblib",
-    "resc.sweeps.Ray": "resc.sweeps.sweep.Ray",
-    "resc.sweeps.Serial": "resc.sweeps.sweep.Serial",
-    "resc.sweeps.Slurm": "resc.sweeps.sweep.Slurm",
-}
-"""Targets of stored configurations, by how they begin, and where they are today."""
 
 
 def build(
@@ -144,14 +135,6 @@ def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]
     if target.startswith(ALLOWED) and not ours and target not in FUNCTIONS:
         raise ConfigError(f"{path}._target_ is '{target}', which is no class of ours; name one.")
     return found
-
-
-def today(target: str) -> str:
-    """The name that a target of a stored configuration has now."""
-    for begins, now in MOVED.items():
-        if target.startswith(begins):
-            return now + target.removeprefix(begins)
-    return target
 
 
 def build_terms(group: Any, path: str, kind: type[Term], allowed: Iterable[str] = ()) -> list[Any]:

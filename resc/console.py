@@ -40,5 +40,6 @@ def logged(path: Path) -> Iterator[None]:
             log.write(f"error: {error}\n")
             raise
         except SystemExit as ending:
-            log.write(f"{ending.code}\n")
+            if isinstance(ending.code, str):
+                log.write(f"{ending.code}\n")
             raise

@@ -2,6 +2,19 @@
 
 import difflib
 from collections.abc import Iterable
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """How a script ends; another program reads it, not what was said last."""
+
+    DONE = 0
+    ERROR = 1
+    USAGE = 2
+    UNFINISHED = 3
+    """Done in part: a run that was asked to stop and goes on with resume=, a lossy recovery."""
+    INTERRUPTED = 130
+    TERMINATED = 143
 
 
 class RescError(Exception):
@@ -38,6 +51,10 @@ class CallError(RescError, ValueError):
 
 class SweepError(RescError):
     """A sweep that ended with runs that failed or are not finished."""
+
+
+class UnfinishedError(SweepError):
+    """A sweep that was asked to stop, and of which no run failed."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

@@ -16,6 +16,7 @@ from yaml import YAMLError
 
 from resc.command_line import override, shell
 from resc.errors import ConfigError
+from resc.moved import today
 from resc.run_folder import CONFIG, JOB, ORIGIN, sweep_of
 
 SWEEP = "multirun.yaml"
@@ -139,12 +140,15 @@ def plain(config: Any) -> Any:  # noqa: ANN401 - any configuration
 def difference(ours: Any, theirs: Any, path: str = "") -> tuple[str, Any, Any] | None:  # noqa: ANN401
     """Name and both values of the first setting that differs; what is interpolated may.
 
-    So may what changes when a run goes on.
+    So may what changes when a run goes on, and a class that has moved since.
     """
     if isinstance(ours, str) and "${" in ours:
         return None
     if not (isinstance(ours, dict) and isinstance(theirs, dict)):
-        return None if ours == theirs else (path, ours, theirs)
+        same = ours == theirs
+        if path.endswith("_target_"):
+            same = today(str(ours)) == today(str(theirs))
+        return None if same else (path, ours, theirs)
     for key in dict.fromkeys((*ours, *theirs)):
         name = f"{path}.{key}".lstrip(".")
         if name in PASSING:

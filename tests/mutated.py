@@ -39,7 +39,6 @@ BOUNDS = {
     r"curriculum\..*": SHARE,
     r"dynamics\.substeps": COUNT,
     r"env\.(dt_s|resolution_m)": POSITIVE,
-    r"launcher\.n_jobs": ANY,
     r"launcher\..*": POSITIVE,
     r"model\.hidden": COUNT,
     r"model\.initial_std": POSITIVE,

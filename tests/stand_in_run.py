@@ -24,7 +24,8 @@ facts = {"argv": sys.argv, "directory": os.getcwd(), "environment": dict(os.envi
 def stop(*_):
     for name in ("checkpoint.pt", "config.yaml"):
         (folder / name).touch()
-    sys.exit("Stopped after 100 frames. Go on with: ...")
+    print("Stopped after 100 frames. Go on with: ...", file=sys.stderr)
+    sys.exit(3)
 
 
 signal.signal(signal.SIGTERM, stop)

@@ -7,7 +7,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"errors", "keys"},
+    {"errors", "keys", "moved"},
     {"console", "math", "process", "quantities", "run_folder", "command_line"},
     {"term", "sweep_folder"},
     {"groups"},
@@ -73,3 +73,9 @@ def test_hydra_is_met_in_build_and_schema_only():
     for path in FILES:
         names = {name.split(".")[0] for name in imported(path)}
         assert room_of(path) in HYDRA_ROOMS or "hydra" not in names, path.name
+
+
+def test_nothing_relies_on_the_internals_of_hydra():
+    plugins = (PACKAGE.parent / "hydra_plugins").glob("*.py")
+    for path in (*FILES, *plugins):
+        assert not [name for name in imported(path) if name.startswith("hydra._")], path.name

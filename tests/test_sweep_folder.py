@@ -97,3 +97,12 @@ def test_damaged_origin_is_named(run, content):
 def test_sweep_without_an_origin_has_none(tmp_path):
     assert origin_of(tmp_path) == {}
     assert arguments_of(tmp_path) == []
+
+
+def test_class_that_has_moved_since_is_no_difference():
+    old, new = (
+        {"_target_": f"resc.{room}.networks.build_networks"} for room in ("learning", "policies")
+    )
+    assert difference({"model": old}, {"model": new}) is None
+    other = {"_target_": "resc.policies.networks.Other"}
+    assert difference({"model": old}, {"model": other}) is not None

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from resc.errors import RescError
+from resc.errors import ExitCode, RescError
 from resc.log_command import convert, look, mend
 
 DESCRIPTION = """Look at recordings, convert and mend them.
@@ -20,7 +20,6 @@ EPILOG = """examples:
 
 'resc-log COMMAND --help' describes a command. Exit codes: 0 done, 1 not done or something is wrong
 with the recording, 2 wrong arguments, 130 interrupted."""
-INTERRUPTED = 130
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -56,5 +55,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
         )
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        code = INTERRUPTED
+        code = ExitCode.INTERRUPTED
     sys.exit(code)

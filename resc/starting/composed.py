@@ -2,13 +2,15 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
+from itertools import chain
 from typing import Any, cast
 
 from hydra import compose
-from hydra._internal.config_repository import ConfigRepository
-from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.object_type import ObjectType
+from hydra.core.plugins import Plugins
+from hydra.plugins.config_source import ConfigSource
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
@@ -20,12 +22,14 @@ def given() -> list[str]:
     return [str(text) for text in HydraConfig.get().overrides.task]
 
 
-def files_of_run() -> ConfigRepository:
-    """The files of configuration that the run is composed from, hydra.searchpath included."""
-    search = ConfigSearchPathImpl()
-    for source in HydraConfig.get().runtime.config_sources:
-        search.append(source.provider, f"{source.schema}://{source.path}")
-    return ConfigRepository(search)
+def sources_of_run() -> list[ConfigSource]:
+    """Where the run's files of configuration are from, in the order in which they are searched."""
+    plugins = cast(list[type[ConfigSource]], Plugins.instance().discover(ConfigSource))
+    kinds = {kind.scheme(): kind for kind in plugins}
+    return [
+        kinds[source.schema](source.provider, f"{source.schema}://{source.path}")
+        for source in HydraConfig.get().runtime.config_sources
+    ]
 
 
 def files_of_lists(groups: Collection[str]) -> Iterator[tuple[str, str, DictConfig]]:
@@ -34,11 +38,11 @@ def files_of_lists(groups: Collection[str]) -> Iterator[tuple[str, str, DictConf
     overrides = [*hydra.overrides.hydra, *hydra.overrides.task]
     loader = GlobalHydra.instance().config_loader()
     listed = loader.compute_defaults_list(hydra.job.config_name, overrides, RunMode.RUN)
-    files = files_of_run()
+    sources = sources_of_run()
     for path, package in ((d.config_path, d.package) for d in listed.defaults):
-        loaded = files.load_config(path) if path and package in groups else None
-        if path and package and loaded:
-            yield path, package, cast(DictConfig, loaded.config)
+        source = next((s for s in sources if path and s.is_config(path)), None)
+        if path and package in groups and source:
+            yield path, package, cast(DictConfig, source.load_config(path).config)
 
 
 def suites() -> dict[str, list[str]]:
@@ -53,7 +57,8 @@ def compose_scenes(config: DictConfig, names: Sequence[str]) -> dict[str, dict[s
     Raises:
         ConfigError: A scene is unknown or named twice.
     """
-    known = files_of_run().get_group_options("scene")
+    listed = [s.list("scene", ObjectType.CONFIG) for s in sources_of_run() if s.is_group("scene")]
+    known = set(chain.from_iterable(listed))
     hydra_config = HydraConfig.get()
     search = [text for text in hydra_config.overrides.hydra if "searchpath" in text]
     scenes = {}

@@ -13,7 +13,6 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 from hydra import main as hydra_main
-from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -23,11 +22,19 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from resc.command_line import override, shell
-from resc.errors import ConfigError, RescError, nearest
+from resc.errors import ConfigError, ExitCode, RescError, UnfinishedError, nearest
 from resc.groups import names
 from resc.run_folder import CONFIG, LATEST, ORIGIN, claimed, latest, sweep_of
 from resc.starting.composed import files_of_lists
-from resc.starting.origin import CHANGEABLE, MULTIRUN, OF_ITS_FOLDER, is_among, key_of, return_to
+from resc.starting.origin import (
+    CHANGEABLE,
+    MULTIRUN,
+    OF_ITS_FOLDER,
+    is_among,
+    key_of,
+    launched_today,
+    return_to,
+)
 from resc.sweep_folder import arguments_of, go_on, is_sweep, permissions
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -35,7 +42,7 @@ LISTS = names(lambda group: group.several)
 """Groups of which a configuration takes several files."""
 PATHS = ("resume", "policy", "replay", "references")
 """Settings whose value is a path, typed as it is."""
-SHOWING = ("help", "hydra_help", "cfg", "info", "shell_completion")
+SHOWING = ("--help", "-h", "--hydra-help", "--cfg", "-c", "--info", "-i")
 """Options of Hydra with which nothing is run."""
 
 
@@ -45,7 +52,7 @@ def launch(main: Callable[[], None], config_name: str) -> None:
     `resume=` with the folder of a sweep becomes the command that began it. SIGTERM unwinds, so that
     recordings are completed.
     """
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(ExitCode.TERMINATED))
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - it was closed by the caller
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     os.environ.setdefault(
@@ -146,10 +153,11 @@ def answering() -> Iterator[None]:
             told = f"{told.partition(chr(10))[0]} ({error.full_key})"
         if isinstance(error, OSError) and error.filename is not None:
             told = f"{error.filename} cannot be used ({error.strerror}); give another, or mend it."
-        sys.exit("\n".join([f"error: {told}", *getattr(error, "__notes__", [])]))
+        print("\n".join([f"error: {told}", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        sys.exit(ExitCode.UNFINISHED if isinstance(error, UnfinishedError) else ExitCode.ERROR)
     except KeyboardInterrupt as error:
         print("\n".join(["Stopped.", *getattr(error, "__notes__", [])]), file=sys.stderr)
-        sys.exit(130)
+        sys.exit(ExitCode.INTERRUPTED)
 
 
 def in_its_folder(arguments: list[str]) -> list[str]:
@@ -186,8 +194,7 @@ def show_quietly() -> None:
     By the signal, as other programs do: Hydra shows with the help of `logging`, which reports every
     line that it cannot write. A run is ended by the error, which unwinds.
     """
-    arguments = get_args_parser().parse_args()
-    if any(vars(arguments)[name] for name in SHOWING):
+    if any(text.partition("=")[0] in SHOWING for text in sys.argv[1:]):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     logging.raiseExceptions = False  # a line of the log that cannot be written ends nothing
 
@@ -204,7 +211,7 @@ def resumed_sweep(arguments: list[str]) -> list[str]:
     folder = Path(str(_value_of(chosen[-1]))).resolve() if chosen else None
     if folder is None or not is_sweep(folder):
         return arguments
-    stored = arguments_of(folder)
+    stored = launched_today(arguments_of(folder))
     if not stored:
         raise ConfigError(f"{folder} does not say in {ORIGIN} what began it; start a new sweep.")
     given = [text for text in arguments if text not in (*chosen, *MULTIRUN)]
@@ -221,6 +228,8 @@ def resumed_sweep(arguments: list[str]) -> list[str]:
             f"if you trust it, go on with: {go_on(folder)}"
         )
     again = {*map(key_of, given), *OF_ITS_FOLDER, "hydra.sweep.dir"}
+    if "launcher" in again:  # settings of the one before are none of its
+        stored = [text for text in stored if not is_among(text, ("hydra.launcher",))]
     kept = [text for text in stored if text not in MULTIRUN and key_of(text) not in again]
     return_to(folder)
     return ["-m", *kept, *given, override("hydra.sweep.dir", folder)]

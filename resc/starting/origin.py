@@ -29,6 +29,24 @@ OF_ITS_FOLDER = ("hydra.mode", "hydra.sweep")
 """Settings that make it a sweep, in its folder."""
 
 
+def launched_today(arguments: Sequence[str]) -> list[str]:
+    """The arguments of a stored command, with the launchers of this machine by today's name.
+
+    One run after the other was `launcher=serial`, several at a time `launcher=joblib`, two of them
+    unless said otherwise.
+    """
+    number = "hydra.launcher.backend.n_jobs"
+    told = any(key_of(text) == number for text in arguments)
+    found: list[str] = []
+    for text in arguments:
+        if text in ("launcher=joblib", "launcher=serial"):
+            found.append("launcher=local")
+            found += ["hydra.launcher.backend.jobs=2"] if "joblib" in text and not told else []
+        else:
+            found.append(text.replace(f"{number}=", "hydra.launcher.backend.jobs="))
+    return found
+
+
 def key_of(argument: str) -> str:
     """The setting that an argument names; empty if it is no override."""
     is_override = "=" in argument or argument.startswith("~")
@@ -131,6 +149,7 @@ def return_to(folder: Path) -> None:
             f"from; set it again: PYTHONPATH={shell(origin['PYTHONPATH'])} {go_on(folder)}"
         )
     os.environ |= {"PYTHONPATH": path} if (path := python_path()) else {}
+    sys.argv[0] = os.path.abspath(sys.argv[0])  # runs are by the script at hand, not one over there
     try:
         os.chdir(origin.get("directory", "."))
     except OSError as error:

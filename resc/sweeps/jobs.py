@@ -11,14 +11,15 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 from resc.command_line import override, shell
-from resc.errors import ConfigError
+from resc.errors import ConfigError, ExitCode
 from resc.run_folder import (
     CHECKPOINT,
     CLAIM,
@@ -32,10 +33,10 @@ from resc.sweep_folder import PERMISSION, begun_as, difference, require_as_begun
 
 SCRIPT = Path(__file__).parents[2] / "train.py"
 LOG, LOCK = "log.txt", ".lock"
-STOPPED = "Stopped after"
-"""How train.py's last line begins when it was asked to stop."""
 LINES = 40
 """Last lines of a failed run's log that its failure.txt repeats."""
+STOPS = (ExitCode.UNFINISHED, ExitCode.INTERRUPTED, ExitCode.TERMINATED)
+"""How a run ends that was asked to stop: it goes on when the sweep does."""
 
 Status = Literal["finished", "failed", "stopped", "busy"]
 
@@ -159,6 +160,7 @@ class Runner:
     def __init__(self) -> None:
         self.children: set[subprocess.Popen[bytes]] = set()
         self.stopping = False
+        self._begins = threading.RLock()
 
     def __call__(self, job: Job) -> Outcome:
         """Runs one job unless it is finished, or being run by another process."""
@@ -184,26 +186,19 @@ class Runner:
 
     def stop(self) -> None:
         """Asks every child to save its checkpoint and end; asked again, ends them at once."""
-        for child in list(self.children):
-            child.kill() if self.stopping else child.terminate()
-        self.stopping = True
+        with self._begins:  # no child begins unseen
+            for child in list(self.children):
+                child.kill() if self.stopping else child.terminate()
+            self.stopping = True
 
     def _run(self, job: Job, lock: int) -> Outcome:
         job.begin()
         began = time.monotonic()
         with (job.folder / LOG).open("ab") as log:
             start = log.tell()
-            # The child holds the lock too: it stays taken should this process be killed.
-            child = subprocess.Popen(
-                job.command,
-                cwd=job.directory,
-                env={**os.environ, **job.environment},
-                stdout=log,
-                stderr=log,
-                pass_fds=(lock,),
-                start_new_session=True,
-            )
-            self.children.add(child)
+            child = self._begin(job, log, lock)
+            if child is None:
+                return Outcome(job, "stopped", "not begun")
             try:
                 code = child.wait()
             except KeyboardInterrupt:  # how Ray ends a task
@@ -218,7 +213,7 @@ class Runner:
             log.seek(start)
             lines = [line.rpartition("\r")[2].rstrip() for line in log if line.strip()]
         last = lines[-1] if lines else "nothing was said"
-        if last.startswith(STOPPED) or self.stopping:
+        if code in STOPS or self.stopping:
             return Outcome(job, "stopped", last)
         reason = next((line for line in reversed(lines) if line.startswith("error: ")), last)
         reason = reason.removeprefix("error: ")
@@ -228,6 +223,26 @@ class Runner:
         head = f"{reason}\n\nRun {' '.join(job.overrides)}\nAgain: {again}\n"
         (job.folder / FAILURE).write_text("\n".join([head, *lines[-LINES:]]) + "\n")
         return Outcome(job, "failed", reason)
+
+    def _begin(self, job: Job, log: IO[bytes], lock: int) -> subprocess.Popen[bytes] | None:
+        """The child, unless the sweep was asked to stop; it holds the lock of its folder.
+
+        So the lock stays taken should this process be killed.
+        """
+        with self._begins:
+            if self.stopping:
+                return None
+            child = subprocess.Popen(
+                job.command,
+                cwd=job.directory,
+                env={**os.environ, **job.environment},
+                stdout=log,
+                stderr=log,
+                pass_fds=(lock,),
+                start_new_session=True,
+            )
+            self.children.add(child)
+            return child
 
 
 def run_alone(job: Job) -> Outcome:

@@ -139,7 +139,7 @@ def test_folder_does_not_permit_foreign_targets_for_those_who_go_on(tmp_path):
     [
         (("seed=range(0,0)",), "The overrides name no run at all"),
         (("seed=0,00",), "Jobs 0 and 1 are the same run ('seed=0' and 'seed=00')"),
-        (("launcher=joblib", "hydra.launcher.backend.n_jobs=0"), "n_jobs is 0; expected 1 or more"),
+        (("hydra.launcher.backend.jobs=0",), "hydra.launcher.backend.jobs is 0; expected a number"),
     ],
 )
 def test_what_no_sweep_can_be_is_refused_before_anything_runs(refusal, tmp_path, arguments, told):
@@ -189,10 +189,10 @@ def test_rerun_of_hydra_is_refused(refusal):
 @pytest.mark.parametrize(
     ("name", "changes", "told"),
     [
-        ("joblib", {"n_jobs": "two"}, "backend.n_jobs is 'two'; expected"),
-        ("joblib", {"n_jobs": -2}, "n_jobs is -2; expected 1 or more, or -1"),
-        ("serial", {"foo": 1}, "backend.foo is not an argument of Serial"),
-        ("serial", {"_target_": "os.system"}, "opt in with allowed_targets"),
+        ("local", {"jobs": "two"}, "backend.jobs is 'two'; expected"),
+        ("local", {"jobs": -1}, "backend.jobs is -1; expected a number from 1"),
+        ("local", {"n_jobs": 2}, "backend.n_jobs is not an argument of Local. Did you mean 'jobs'"),
+        ("local", {"_target_": "os.system"}, "opt in with allowed_targets"),
         ("slurm", {"cluster": "foo", "folder": "x"}, "cluster is 'foo'; expected slurm or local"),
         ("slurm", {"mem_gb": 0, "folder": "x"}, "mem_gb is 0.* expected a number above 0"),
         ("slurm", {"timeout_min": -1, "folder": "x"}, "timeout_min is -1"),

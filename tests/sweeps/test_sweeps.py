@@ -13,15 +13,19 @@ from pathlib import Path
 
 import pytest
 
+from resc.build import build
 from resc.command_line import shell
-from resc.errors import ConfigError, SweepError
+from resc.errors import ConfigError, SweepError, UnfinishedError
 from resc.starting.launch import resumed_sweep
 from resc.starting.origin import claim, require_own_folder
 from resc.sweeps.jobs import Job, Runner
-from resc.sweeps.sweep import Joblib, Ray, Serial, Slurm, require_success, run_sweep
+from resc.sweeps.launchers import Local, Ray, Slurm
+from resc.sweeps.sweep import require_success, run_sweep
 
 ROOT = Path(__file__).parents[2]
 STAND_IN = ROOT / "tests" / "stand_in_run.py"
+LOCAL, JOBLIB = "launcher=local", "launcher=joblib"
+JOBS, N_JOBS = "hydra.launcher.backend.jobs={}", "hydra.launcher.backend.n_jobs={}"
 TINY = (
     "num_envs=16",
     "algorithm.steps=8",
@@ -50,8 +54,8 @@ def statuses(outcomes):
 
 def test_runs_are_made_once_whatever_is_asked_again(tmp_path):
     jobs = [job(tmp_path, number, f"seed={number}") for number in range(2)]
-    assert statuses(run_sweep(jobs, Serial())) == ["finished", "finished"]
-    again = run_sweep(jobs, Serial())
+    assert statuses(run_sweep(jobs, Local())) == ["finished", "finished"]
+    again = run_sweep(jobs, Local())
     assert statuses(again) == ["finished", "finished"]
     assert again[0].sentence == "50.0% succeed (kept)"
     assert [starts(tmp_path, number) for number in range(2)] == [["fresh"], ["fresh"]]
@@ -60,7 +64,7 @@ def test_runs_are_made_once_whatever_is_asked_again(tmp_path):
 
 def test_one_failing_run_ends_nothing_but_itself_and_says_why(tmp_path):
     jobs = [job(tmp_path, 0, "weight=high"), job(tmp_path, 1, "killed=1"), job(tmp_path, 2)]
-    outcomes = run_sweep(jobs, Serial())
+    outcomes = run_sweep(jobs, Local())
     assert statuses(outcomes) == ["failed", "failed", "finished"]
     told = (tmp_path / "0" / "failure.txt").read_text()
     assert told.startswith("reward.progress.weight is 'high'; expected a number.\n")
@@ -79,22 +83,22 @@ def test_failed_run_is_tried_again_and_then_shows_no_failure(tmp_path):
     first = job(tmp_path, 0, "seed=0")
     first.folder.mkdir()
     (first.folder / "failure.txt").write_text("no memory\n")
-    assert statuses(run_sweep([first], Serial())) == ["finished"]
+    assert statuses(run_sweep([first], Local())) == ["finished"]
     assert not (first.folder / "failure.txt").exists()
 
 
 def test_stopped_sweep_goes_on_from_the_checkpoint_and_makes_the_rest(tmp_path):
     jobs = [job(tmp_path, number, "wait=1") for number in range(2)]
     stop_when_ready(signal.SIGTERM, tmp_path / "0")
-    outcomes = run_sweep(jobs, Serial())
+    outcomes = run_sweep(jobs, Local())
     assert statuses(outcomes) == ["stopped", "stopped"]
     assert not (tmp_path / "starts_1.txt").exists()
-    with pytest.raises(SweepError, match=r"2 of 2 runs are not finished \(stopped: 0, 1\)\. Go on"):
+    with pytest.raises(UnfinishedError, match=r"finished \(stopped: 0, 1\)\. Go on"):
         require_success(outcomes, tmp_path)
     stop_when_ready(signal.SIGTERM, tmp_path / "1")
-    assert statuses(run_sweep(jobs, Serial())) == ["finished", "stopped"]
+    assert statuses(run_sweep(jobs, Local())) == ["finished", "stopped"]
     assert starts(tmp_path, 0) == ["fresh", "resumed"]
-    assert statuses(run_sweep(jobs, Serial())) == ["finished", "finished"]
+    assert statuses(run_sweep(jobs, Local())) == ["finished", "finished"]
     assert starts(tmp_path, 0) == ["fresh", "resumed"]
 
 
@@ -112,6 +116,13 @@ def stop_when_ready(number, *folders):
     threading.Thread(target=stop, daemon=True).start()
 
 
+@pytest.mark.parametrize(("code", "status"), [(3, "stopped"), (130, "stopped"), (1, "failed")])
+def test_what_came_of_a_run_is_its_exit_code_not_what_it_said_last(tmp_path, code, status):
+    script = tmp_path / "script.py"
+    script.write_text(f"import sys; print('Stopped after 100 frames.'); sys.exit({code})")
+    assert Runner()(Job(tmp_path / "0", (), script)).status == status
+
+
 def test_run_that_another_process_makes_is_left_to_it(tmp_path):
     busy = job(tmp_path, 0)
     busy.folder.mkdir()
@@ -123,43 +134,43 @@ def test_run_that_another_process_makes_is_left_to_it(tmp_path):
 
 def test_cut_summary_is_no_finished_run(tmp_path):
     cut = job(tmp_path, 0)
-    run_sweep([cut], Serial())
+    run_sweep([cut], Local())
     (cut.folder / "summary.json").write_text('{"episodes": 8, "succ')
     assert not cut.finished
-    run_sweep([cut], Serial())
+    run_sweep([cut], Local())
     assert starts(tmp_path, 0) == ["fresh", "fresh"]
 
 
 def test_study_that_changed_is_refused_before_anything_runs(tmp_path):
-    run_sweep([job(tmp_path, 0, "seed=0")], Serial())
+    run_sweep([job(tmp_path, 0, "seed=0")], Local())
     with pytest.raises(ConfigError, match="holds the run 'seed=0', but job 0 of this sweep is 's"):
-        run_sweep([job(tmp_path, 0, "seed=5"), job(tmp_path, 1, "seed=6")], Serial())
+        run_sweep([job(tmp_path, 0, "seed=5"), job(tmp_path, 1, "seed=6")], Local())
     assert not (tmp_path / "1").exists()
 
 
 def test_same_overrides_that_now_make_another_run_are_refused(tmp_path):
     before = Job(tmp_path / "0", (), STAND_IN, config={"reward": {"weight": 2.0}})
-    run_sweep([before], Serial())
+    run_sweep([before], Local())
     now = Job(tmp_path / "0", (), STAND_IN, config={"reward": {"weight": 3.0}})
     with pytest.raises(ConfigError, match=r"run with reward\.weight: 2\.0, but now .* 3\.0"):
-        run_sweep([now], Serial())
+        run_sweep([now], Local())
 
 
 def test_run_that_was_lengthened_is_refused_by_its_sweep(tmp_path):
     own = Job(tmp_path / "0", (), STAND_IN, config={"total_frames": 100})
-    run_sweep([own], Serial())
+    run_sweep([own], Local())
     (own.folder / "config.yaml").write_text("total_frames: 200\n")
     with pytest.raises(ConfigError, match=r"says total_frames: 200, but its sweep began .* 100"):
-        run_sweep([own], Serial())
+        run_sweep([own], Local())
 
 
 def test_new_try_of_a_run_without_a_checkpoint_begins_in_an_empty_folder(tmp_path):
     failing = job(tmp_path, 0, "weight=high")
-    run_sweep([failing], Serial())
+    run_sweep([failing], Local())
     (failing.folder / "rollouts").mkdir()
     (failing.folder / "rollouts" / "old.mcap").touch()
     (failing.folder / "progress.csv").touch()
-    run_sweep([failing], Serial())
+    run_sweep([failing], Local())
     left = sorted(path.name for path in failing.folder.iterdir())
     assert left == [".lock", "failure.txt", "job.json", "log.txt", "started.json"]
 
@@ -173,12 +184,12 @@ def test_what_stands_where_a_run_goes_is_refused_and_left(tmp_path, what):
         place.mkdir()
         (place / "thesis.tex").write_text("mine")
     with pytest.raises(ConfigError, match="move it away"):
-        run_sweep([job(tmp_path, 0)], Serial())
+        run_sweep([job(tmp_path, 0)], Local())
     assert (place if what == "file" else place / "thesis.tex").read_text() == "mine"
 
 
 def test_folder_of_another_sweep_or_of_a_run_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["train.py", "-m", "seed=0,1", "launcher=joblib"])
+    monkeypatch.setattr(sys, "argv", ["train.py", "-m", "seed=0,1", "launcher=local"])
     begin(tmp_path / "same", "-m", "launcher=serial", "seed=0,1", "hydra.sweep.dir=same")
     require_own_folder(tmp_path / "same")
     begin(tmp_path / "other", "-m", "seed=2,3")
@@ -212,22 +223,21 @@ def test_folder_that_cannot_be_written_is_told(monkeypatch):
 
 def test_run_that_cannot_be_started_fails_alone(tmp_path, capsys):
     lost = Job(tmp_path / "0", ("seed=0",), STAND_IN, directory=tmp_path / "gone")
-    outcomes = run_sweep([lost, job(tmp_path, 1, "seed=1")], Serial())
+    outcomes = run_sweep([lost, job(tmp_path, 1, "seed=1")], Local())
     assert statuses(outcomes) == ["failed", "finished"]
     assert outcomes[0].sentence == f"cannot be run, {tmp_path}/gone: No such file or directory"
 
 
 def test_runs_are_counted_over_the_whole_sweep(tmp_path, capsys):
-    run_sweep([job(tmp_path, 2)], Serial(), before=2, total=20)
+    run_sweep([job(tmp_path, 2)], Local(), before=2, total=20)
     assert capsys.readouterr().out.startswith("[3/20] run 2: finished")
 
 
 def test_parallel_runs_are_under_way_together(tmp_path):
-    pytest.importorskip("joblib")
     jobs = [job(tmp_path, number, "wait=1") for number in range(2)]
     stop_when_ready(signal.SIGINT, *(one.folder for one in jobs))
-    assert statuses(run_sweep(jobs, Joblib(n_jobs=2))) == ["stopped", "stopped"]
-    assert statuses(run_sweep(jobs, Joblib(n_jobs=2))) == ["finished", "finished"]
+    assert statuses(run_sweep(jobs, Local(jobs=2))) == ["stopped", "stopped"]
+    assert statuses(run_sweep(jobs, Local(jobs=2))) == ["finished", "finished"]
     assert [starts(tmp_path, number) for number in range(2)] == [["fresh", "resumed"]] * 2
 
 
@@ -272,6 +282,12 @@ def test_jobs_go_through_a_ray_cluster_that_is_stopped_afterwards(tmp_path):
     assert not ray.is_initialized()
 
 
+@pytest.mark.parametrize("room", ["resc.sweeps", "resc.sweeps.sweep"])
+@pytest.mark.parametrize("name", ["Joblib", "Serial"])
+def test_launcher_of_a_stored_configuration_is_found_where_it_is_today(room, name):
+    assert isinstance(build({"_target_": f"{room}.{name}"}, "hydra.launcher.backend"), Local)
+
+
 def test_launcher_that_is_not_installed_names_the_extra(tmp_path):
     if importlib.util.find_spec("ray"):
         pytest.skip("Ray is installed")
@@ -287,14 +303,34 @@ def begin(folder, *arguments, **facts):
 
 
 def test_folder_of_a_sweep_resumes_the_command_that_began_it(tmp_path):
-    begin(tmp_path, "-m", "+experiment=ablate_history", "launcher=serial", "seed=0,1")
-    assert resumed_sweep([f"resume={tmp_path}", "launcher=joblib"]) == [
+    begin(tmp_path, "-m", "+experiment=ablate_history", "launcher=local", "seed=0,1")
+    assert resumed_sweep([f"resume={tmp_path}", "launcher=slurm"]) == [
         "-m",
         "+experiment=ablate_history",
         "seed=0,1",
-        "launcher=joblib",
+        "launcher=slurm",
         f"hydra.sweep.dir={tmp_path}",
     ]
+
+
+@pytest.mark.parametrize(
+    ("begun", "given", "today"),
+    [
+        (["launcher=serial"], [], [LOCAL]),
+        ([JOBLIB], [], [LOCAL, JOBS.format(2)]),
+        ([JOBLIB, N_JOBS.format(3)], [], [LOCAL, JOBS.format(3)]),
+        (
+            [JOBLIB, N_JOBS.format(3)],
+            [JOBS.format(4)],
+            [LOCAL, JOBS.format(4)],
+        ),
+        ([JOBLIB, N_JOBS.format(3)], ["launcher=ray"], ["launcher=ray"]),
+    ],
+)
+def test_sweep_begun_with_a_launcher_of_before_goes_on_with_todays(tmp_path, begun, given, today):
+    begin(tmp_path, "-m", *begun, "seed=0,1")
+    expected = ["-m", *today, "seed=0,1", f"hydra.sweep.dir={tmp_path}"]
+    assert sorted(resumed_sweep([f"resume={tmp_path}", *given])) == sorted(expected)
 
 
 def test_folder_of_a_run_is_left_to_the_run(tmp_path):
