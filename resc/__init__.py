@@ -1,7 +1,29 @@
-"""RESC: search-to-control quadrotor planning, trained, ablated, recorded and compared."""
+"""RESC: search-to-control quadrotor planning, trained, ablated, recorded and compared.
+
+`make_env`, `load` and `load_policy` are for use from Python; they are read, and torch with them,
+when they are first asked for.
+"""
 
 import os
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from resc.door import load, load_policy, make_env
+
+__all__ = ["load", "load_policy", "make_env"]
 
 # Before torch is loaded, which reads it once. Threads that wait for the next piece of work by
 # spinning take the cores from the threads of the rays and from other processes.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - one of __all__
+    if name not in __all__:
+        raise AttributeError(f"module 'resc' has no attribute '{name}'")
+    from resc import door
+
+    return getattr(door, name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

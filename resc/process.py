@@ -23,9 +23,14 @@ def prepare_process(threads: int, device: str) -> None:
     available = len(os.sched_getaffinity(0))
     if not 1 <= threads <= available:
         raise ConfigError(f"threads is {threads}; this machine offers 1 to {available}.")
+    require_device(device)
+    torch.set_num_threads(threads)
+
+
+def require_device(device: str) -> None:
+    """Raises ConfigError if this machine has no such device."""
     if device != "cpu" and not (device.startswith("cuda") and torch.cuda.is_available()):
         raise ConfigError(f"device is '{device}', which is not there; use device=cpu.")
-    torch.set_num_threads(threads)
 
 
 def require_memory(

@@ -168,6 +168,11 @@ def register() -> None:
     """Makes what train.yaml, evaluate.yaml and bound.yaml refer to known to Hydra."""
     OmegaConf.register_new_resolver("new_folder", new_folder, replace=True)
     OmegaConf.register_new_resolver("folder_name", folder_name, replace=True)
+    store_types()
+
+
+def store_types() -> None:
+    """The part of `register` that composing needs; folders are named only where a run begins."""
     store = ConfigStore.instance()
     store.store(name="schema", node=TrainSchema)
     store.store(name="evaluate_schema", node=EvaluateSchema)

@@ -7,7 +7,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"errors", "keys", "moved"},
+    {"errors", "keys", "moved", "places"},
     {"console", "math", "process", "quantities", "run_folder", "command_line"},
     {"term", "sweep_folder"},
     {"groups"},
@@ -19,7 +19,7 @@ FLOORS = (
     {"envs"},
     {"planning", "policies", "recording"},
     {"setup"},
-    {"viewing", "flying"},
+    {"viewing", "flying", "door"},
     {"learning", "evaluation", "log_command"},
     {"studies"},
     {"sweeps"},

@@ -19,12 +19,13 @@ from torch import Tensor
 
 from resc.build import build
 from resc.errors import ConfigError
+from resc.places import RESULTS
 from resc.planning.time_optimal import FASTEST, SMOOTH, Crossing, Limits
 from resc.planning.trajectory import Trajectory
 from resc.run_folder import replacing
 from resc.scenes.layout import Layout
 
-STORED = Path(__file__).parents[2] / "docs" / "results" / "references.json"
+STORED = RESULTS / "references.json"
 """Where references are kept unless `references` names another file."""
 SCENE_DIGITS, CONTROL_DIGITS = 4, 7
 """Decimals of scenes [m], by which they are told apart, and of control points [m].

@@ -17,9 +17,10 @@ from typing import Any
 from scipy.stats import t as student
 
 from resc.errors import ConfigError, RescError
+from resc.places import RESULTS
 from resc.run_folder import SUMMARY
 
-STORED = Path(__file__).parents[2] / "docs" / "results" / "default_training.json"
+STORED = RESULTS / "default_training.json"
 
 
 def prediction_interval(rates: Sequence[float], level: float = 0.95) -> tuple[float, float]:

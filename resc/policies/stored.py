@@ -7,7 +7,6 @@ import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,8 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 
 from resc.build import build, load_config
@@ -22,6 +23,7 @@ from resc.command_line import command
 from resc.envs.quadrotor import layout_of
 from resc.envs.stages import Stages
 from resc.errors import CheckpointError
+from resc.places import HOME
 from resc.policies.networks import Networks
 from resc.run_folder import CHECKPOINT, CONFIG, LATEST, POLICY, latest, replacing
 from resc.settings import fingerprint
@@ -31,9 +33,11 @@ ACTION_WIDTH = 4
 """Of policies stored before their files said it."""
 
 
-@dataclass(frozen=True)
-class Policy:
+class Policy(TensorDictModuleBase):
     """A trained policy with all that is needed to fly it.
+
+    For observations it returns the mean action, clipped to [-1, 1]; in a TensorDict, as TorchRL's
+    rollouts and collectors hand it on, it sets the action.
 
     Args:
         head: The network, its normalisation of the observation included.
@@ -41,13 +45,18 @@ class Policy:
         config: The resolved configuration it was trained with: data, not code.
     """
 
-    head: nn.Module
-    layout: Layout
-    config: DictConfig
+    def __init__(self, head: nn.Module, layout: Layout, config: DictConfig) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = ["observation"], ["action"]
+        self.head, self.layout, self.config = head, layout, config
 
     @torch.no_grad()
-    def __call__(self, observation: Float[Tensor, "n d"]) -> Float[Tensor, "n a"]:
-        """The mean action, clipped to [-1, 1]."""
+    def forward(
+        self, observation: Float[Tensor, "*n d"] | TensorDictBase
+    ) -> Float[Tensor, "*n a"] | TensorDictBase:
+        """The action [n, a] for observations [n, d], or the TensorDict with it."""
+        if isinstance(observation, TensorDictBase):
+            return observation.set("action", self(observation["observation"]))
         return self.head(observation)[0].clamp(-1, 1)
 
     def require_layout(self, stages: Stages) -> None:
@@ -93,7 +102,7 @@ def policy_folder(text: str, setting: str) -> Path:
     """
     if text == LATEST:
         return latest(setting, "train")
-    ours = Path(__file__).parents[2] / text
+    ours = HOME / text
     return ours if ours.exists() and not Path(text).exists() else Path(text)
 
 

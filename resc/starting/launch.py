@@ -24,6 +24,7 @@ from omegaconf.errors import OmegaConfBaseException
 from resc.command_line import override, shell
 from resc.errors import ConfigError, ExitCode, RescError, UnfinishedError, nearest
 from resc.groups import names
+from resc.places import CONF
 from resc.run_folder import CONFIG, LATEST, ORIGIN, claimed, latest, sweep_of
 from resc.starting.composed import files_of_lists
 from resc.starting.origin import (
@@ -37,7 +38,6 @@ from resc.starting.origin import (
 )
 from resc.sweep_folder import arguments_of, go_on, is_sweep, permissions
 
-CONF = Path(__file__).parents[2] / "conf"
 LISTS = names(lambda group: group.several)
 """Groups of which a configuration takes several files."""
 PATHS = ("resume", "policy", "replay", "references")
@@ -63,12 +63,12 @@ def launch(main: Callable[[], None], config_name: str) -> None:
     with answering():
         try:
             _refuse_foreign(sys.argv[1:])
-            _require_names(sys.argv[1:])
+            require_names(sys.argv[1:])
             sys.argv[1:] = resumed_sweep(in_its_folder(quoted_paths(sys.argv[1:])))
             show_quietly()
             main()
         except (HydraException, OmegaConfBaseException) as error:
-            raise ConfigError(_own_words(error) or explain(error, config_name)) from None
+            raise refused(error, config_name, sys.argv[1:]) from None
         except ValueError as error:
             if not str(error).startswith(("Only one of --run", "The --resolve flag")):
                 raise
@@ -102,7 +102,7 @@ def _refuse_foreign(arguments: Sequence[str]) -> None:
         )
 
 
-def _require_names(arguments: Sequence[str]) -> None:
+def require_names(arguments: Sequence[str]) -> None:
     """Refuses a group that is given something else than names of its files.
 
     Raises:
@@ -282,11 +282,15 @@ def refuse_doubles() -> None:
             defined[term] = path
 
 
-def explain(error: Exception, config_name: str) -> str:
-    """What is wrong with the command line, and the nearest names that exist."""
+def refused(error: Exception, config_name: str, arguments: Sequence[str]) -> ConfigError:
+    """What Hydra raises for wrong arguments, in one sentence with the nearest names that exist."""
+    return ConfigError(_own_words(error) or _explain(error, config_name, arguments))
+
+
+def _explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str:
     text = str(error)
     if override := re.search(r"Could not override '([\w.@/]+)'", text):
-        return _explain_override(override[1], config_name, _choices(sys.argv[1:]))
+        return _explain_override(override[1], config_name, _choices(arguments))
     if option := re.search(r"Could not (?:load|find) '([\w/]+)/(\w+)'", text):
         group, name = option.groups()
         if (CONF / group).is_dir():

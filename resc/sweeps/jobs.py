@@ -20,6 +20,7 @@ from typing import IO, Any, Literal
 
 from resc.command_line import override, shell
 from resc.errors import ConfigError, ExitCode
+from resc.places import TRAIN
 from resc.run_folder import (
     CHECKPOINT,
     CLAIM,
@@ -31,7 +32,6 @@ from resc.run_folder import (
 )
 from resc.sweep_folder import PERMISSION, begun_as, difference, require_as_begun
 
-SCRIPT = Path(__file__).parents[2] / "train.py"
 LOG, LOCK = "log.txt", ".lock"
 LINES = 40
 """Last lines of a failed run's log that its failure.txt repeats."""
@@ -64,7 +64,7 @@ class Job:
 
     folder: Path
     overrides: tuple[str, ...]
-    script: Path = SCRIPT
+    script: Path = TRAIN
     options: tuple[str, ...] = ()
     config: Mapping[str, Any] = field(default_factory=dict, compare=False)
     environment: Mapping[str, str] = field(default_factory=dict, compare=False)

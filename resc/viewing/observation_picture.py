@@ -22,6 +22,7 @@ from resc.maps.cells import shape_of
 from resc.maps.constants import OCCUPIED_M
 from resc.maps.distance_transform import distance_transform
 from resc.math.rotation import quaternion_from_euler
+from resc.places import CONF, HOME
 from resc.scenes.layout import rasterize
 from resc.term import Context, Observation
 from resc.viewing.colours import BACKGROUND, FRAME, OBSTACLE, PLAN, TEXT
@@ -31,7 +32,6 @@ from resc.viewing.sight import FIRST, MOVING, SECOND, SIGHTS, Pose, Shape, shape
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-ROOT = Path(__file__).parents[2]
 BOXES = ((3.1, 3.7, 0.6, 0.9), (3.2, 1.3, 0.6, 0.7), (5.1, 2.6, 0.4, 1.3), (1.0, 4.4, 1.2, 0.4))
 SIZE_M, RESOLUTION_M = (6.4, 5.2), 0.1
 POSITION, VELOCITY, YAW = (1.63, 2.57, 1.0), (1.6, 0.7, 0.0), 0.2
@@ -54,7 +54,7 @@ def draw_all(folder: Path) -> list[Path]:
         3.0,
     )
     files = []
-    for path in sorted((ROOT / "conf/obstacle_observation").glob("*.yaml")):
+    for path in sorted((CONF / "obstacle_observation").glob("*.yaml")):
         terms = build_terms(load_config(path), "obstacle_observation", Observation)
         shown = [shape for term in terms for shape in _observe(term, esdf)]
         if shown:
@@ -216,5 +216,5 @@ def _inset(axes: Axes, values: Float[Tensor, " b"]) -> None:
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs/observations"
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else HOME / "docs/observations"
     print(*draw_all(target), sep="\n")

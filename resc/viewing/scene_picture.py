@@ -17,6 +17,7 @@ from matplotlib.patches import Circle
 
 from resc.build import build, load_config
 from resc.math.sampling import generator_for
+from resc.places import CONF, HOME
 from resc.planning.route import RoutePlanner
 from resc.scenes.layout import Layout, sampled
 from resc.viewing.colours import BACKGROUND, DASHES, PLAN, TEXT
@@ -25,7 +26,6 @@ from resc.viewing.map_picture import draw_obstacles
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-ROOT = Path(__file__).parents[2]
 EXAMPLES, EDGE_INCHES = 5, 2.0
 WHOLE = {"points": 1000, "on_the_way": 0.0}
 """The whole route from the start, whatever part of it an episode takes."""
@@ -33,7 +33,7 @@ WHOLE = {"points": 1000, "on_the_way": 0.0}
 
 def draw(path: Path, scene: Mapping[str, Any], examples: int, allowed: list[str]) -> None:
     """Draws `examples` of each family of a scene's configuration, a row each."""
-    search = load_config(ROOT / "conf/search/visibility.yaml")
+    search = load_config(CONF / "search/visibility.yaml")
     planner: RoutePlanner = build(search, "search", resolution_m=0.1)
     rows = {name: node for name, node in scene["families"].items() if node is not None}
     size = (examples * EDGE_INCHES, len(rows) * EDGE_INCHES)
@@ -71,8 +71,8 @@ def _draw_one(axes: Axes, layout: Layout, number: int) -> None:
 
 
 if __name__ == "__main__":
-    target, *more = sys.argv[1:] or [str(ROOT / "docs/planned.png")]
-    file = Path(more[0]) if more else ROOT / "conf/scene/planned.yaml"
+    target, *more = sys.argv[1:] or [str(HOME / "docs/planned.png")]
+    file = Path(more[0]) if more else CONF / "scene/planned.yaml"
     opted_in = more[2:]
     draw(Path(target), load_config(file), int(more[1]) if len(more) > 1 else EXAMPLES, opted_in)
     print(target)
