@@ -8,6 +8,7 @@ python evaluate.py 'suite=[paper,field]' maps=20        several suites, fewer ma
 python evaluate.py 'scenes=[random_boxes]' flights=50   another scene of conf/scene
 python evaluate.py 'scenes=[training]' flights=1000     episodes as in training, never trained on
 python evaluate.py 'scenes=[paper1_map11]' '+scene.goal_m=[9.0,8.75,1.0]'    a number of the scene
+python evaluate.py 'pilot=[policy,pursuit]'             the policy, and a pilot without learning
 python evaluate.py replay=runs/latest_evaluation/rollouts#7    a recorded episode, flown again
 """
 
@@ -21,6 +22,7 @@ from resc import schema
 from resc.console import logged
 from resc.evaluation.campaign import evaluate
 from resc.evaluation.suites import scenes_to_fly
+from resc.flying.pilot import build_pilots
 from resc.flying.replay import replay
 from resc.policies.stored import load_policy, policy_folder
 from resc.process import prepare_process
@@ -50,8 +52,9 @@ def main(config: DictConfig) -> None:
         scenes = compose_scenes(config, scenes_to_fly(config, overrides))
         config["policy"] = str(policy_folder(config["policy"], "policy"))
         policy = load_policy(Path(config["policy"]), config["device"], allowed)
+        pilots = build_pilots(config["pilot"], allowed)
         with logged(folder / "evaluate.log"):
-            print(evaluate(config, policy, scenes, folder, overrides))
+            print(evaluate(config, policy, scenes, folder, overrides, pilots=pilots))
 
 
 if __name__ == "__main__":

@@ -90,6 +90,7 @@ GROUPS = (
     Group("algorithm", runs=(TRAIN,)),
     Group("logger", runs=(TRAIN,)),
     Group("suite", several=True, runs=(EVALUATE, BOUND)),
+    Group("pilot", several=True, runs=(EVALUATE,)),
     Group("limits", runs=(EVALUATE, BOUND)),
 )
 """All of them."""

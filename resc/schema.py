@@ -96,7 +96,8 @@ class EvaluateSchema(RunSchema):
 
     Args:
         policy: Folder of a shipped policy or of a finished training run; `latest` is the last one
-            that was trained.
+            that was trained. It is what `pilot=policy` flies, and its vehicle, action and
+            observation are what every other pilot is given.
         suite: Scenes to fly, each with its `maps` and its `flights` on each of them; see
             `resc.evaluation.suites`.
         scenes: Files of conf/scene to fly instead: a list, or the name of one.

@@ -77,30 +77,33 @@ orders of magnitude.
 
 def markdown(reports: Sequence[SceneReport], limits: Limits = NOMINAL) -> str:
     """The report as a Markdown table, a column per scene, followed by what its rows mean."""
-    numbers = {
-        "margin": limits.margin_m,
-        "speed": limits.speed_mps,
-        "acceleration": limits.acceleration_mps2,
-    }
     rows = [["", *(report.name for report in reports)]]
     drawn = any(report.redrawn is not None for report in reports)
     shown = (*ROWS[:1], *OF_MAPS, *ROWS[1:]) if drawn else ROWS
-    for label, cell in shown:
-        blank = label.startswith(PER_SCENE)
-        rows.append(
-            [
-                label.format(**numbers),
-                *("" if blank and r.name == "all" else cell(r) for r in reports),
-            ]
-        )
+    for label, _ in shown:
+        rows.append([label.format(margin=limits.margin_m), *(shown_in(label, r) for r in reports)])
     compared = any(report.name in PUBLISHED for report in reports)
     if compared:
         rows += [
             [f"{planner}, published", *(_published(r, planner) for r in reports)]
             for planner in PLANNERS
         ]
-    text = f"{aligned(rows)}\n{FOOTNOTES.format(**numbers)}{MAPS_NOTE if drawn else ''}"
+    text = f"{aligned(rows)}\n{footnotes(limits)}{MAPS_NOTE if drawn else ''}"
     return f"{text}\n{PUBLISHED_NOTE}" if compared else text
+
+
+def shown_in(label: str, report: SceneReport) -> str:
+    """What the table shows of a report under a label of `ROWS` or `OF_MAPS`."""
+    if report.name == "all" and label.startswith(PER_SCENE):
+        return ""
+    return dict((*ROWS, *OF_MAPS))[label](report)
+
+
+def footnotes(limits: Limits) -> str:
+    """What the rows mean, under these limits."""
+    return FOOTNOTES.format(
+        margin=limits.margin_m, speed=limits.speed_mps, acceleration=limits.acceleration_mps2
+    )
 
 
 def failures(reports: Sequence[SceneReport]) -> str:
@@ -127,11 +130,13 @@ def summary(reports: Sequence[SceneReport]) -> dict[str, Any]:
     }
 
 
-def write_scenes(reports: Sequence[SceneReport], path: Path) -> None:
-    """One row per scene, one column per number."""
+def write_scenes(reports: Sequence[SceneReport], path: Path, pilots: Sequence[str] = ()) -> None:
+    """One row per scene, one column per number; of several pilots, with the name of each."""
     rows = [
         {**_rounded(asdict(report)), "outcomes": _joined(report.outcomes)} for report in reports
     ]
+    if pilots:
+        rows = [{"pilot": pilot, **row} for pilot, row in zip(pilots, rows, strict=True)]
     _write(path, list(rows[0]), (list(row.values()) for row in rows))
 
 

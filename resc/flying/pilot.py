@@ -1,15 +1,20 @@
 """What flies: the protocol of a pilot, and a trained policy as one."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from jaxtyping import Float
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from resc import keys
+from resc.build import build
 from resc.envs.stages import Stages, World
-from resc.policies.stored import Policy
+from resc.errors import ConfigError
+from resc.policies.stored import Policy, load_policy, policy_folder
 from resc.recording.rollouts import digest
+from resc.schema import folder_name
 
 
 class Pilot(ABC):
@@ -55,6 +60,21 @@ class Pilot(ABC):
         return {}
 
 
+def build_pilots(group: Mapping[str, Any], allowed: Sequence[str] = ()) -> list[Pilot]:
+    """The pilots of the group `pilot`, in its order.
+
+    Raises:
+        ConfigError: There is none, or one cannot be built.
+    """
+    nodes = {str(name): node for name, node in group.items() if node is not None}
+    if not nodes:
+        raise ConfigError("pilot is empty; name at least one file of conf/pilot: pilot=policy.")
+    return [
+        build(node, f"pilot.{name}", allowed=allowed, kind=Pilot).named(folder_name(name))
+        for name, node in nodes.items()
+    ]
+
+
 class PolicyPilot(Pilot):
     """A trained policy that flies by the observation of the environment.
 
@@ -78,3 +98,20 @@ class PolicyPilot(Pilot):
     def facts(self) -> Mapping[str, str]:
         """The digest of its weights."""
         return {"policy_sha256": digest(self.policy.head)}
+
+
+class StoredPolicy(PolicyPilot):
+    """The policy in a folder.
+
+    Args:
+        folder: Of a run or a shipped policy; `latest` is the last run that was trained.
+        allowed_targets: Prefixes of `_target_` outside resc that its configuration may name.
+    """
+
+    def __init__(self, *, folder: str, allowed_targets: Sequence[str] = ()) -> None:
+        super().__init__(load_policy(policy_folder(folder, "policy"), allowed=allowed_targets))
+
+    def begin(self, flights: int, stages: Stages, maps: World) -> None:
+        """Takes the network to where the maps are."""
+        super().begin(flights, stages, maps)
+        self.policy.head.to(maps[keys.ESDF].device)

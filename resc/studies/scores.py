@@ -3,8 +3,8 @@
 python -m resc.studies.scores runs/latest_sweep suite=forest maps=30
 python -m resc.studies.scores runs/latest_sweep 'suite=[paper,forest,field]' maps=30
 
-Any override of evaluate.py is taken but policy, replay and the folder. An evaluation of every
-finished run is left in <run>/scores/<suite>; one that is there already, of the same policy,
+Any override of evaluate.py is taken but policy, pilot, replay and the folder. An evaluation of
+every finished run is left in <run>/scores/<suite>; one that is there already, of the same policy,
 settings and references, is not flown again. The report is in <sweep>/report.
 """
 
@@ -22,6 +22,7 @@ from resc.console import logged
 from resc.errors import ConfigError
 from resc.evaluation.campaign import evaluate, fingerprint
 from resc.evaluation.suites import amounts_of, scenes_to_fly
+from resc.flying.pilot import PolicyPilot
 from resc.policies.stored import load_policy
 from resc.process import prepare_process
 from resc.run_folder import LATEST, latest, summary_of
@@ -34,7 +35,7 @@ from resc.studies.study import Run, Sweep, read_sweep
 SCORES, REPORT = "scores", "report"
 SINGLE = "scenes"
 """What a list of scenes is called beside suites."""
-OWN = ("policy", "replay", "hydra.run.dir")
+OWN = ("policy", "pilot", "replay", "hydra.run.dir")
 """Settings of an evaluation that are not the user's here."""
 USAGE = "python -m resc.studies.scores runs/latest_sweep suite=forest maps=30"
 
@@ -101,11 +102,11 @@ def _fly(
 ) -> bool:
     """Evaluates a run into the folder; whether that was done before."""
     own = {**settings, "policy": str(sweep.folder / str(run.number))}
-    if summary_of(folder).get("fingerprint") == fingerprint(own, scenes):
+    policy = load_policy(Path(own["policy"]), own["device"], own["allowed_targets"])
+    if summary_of(folder).get("fingerprint") == fingerprint(own, scenes, [PolicyPilot(policy)]):
         return True
     if folder.exists():  # of other settings, or cut short
         shutil.rmtree(folder)
-    policy = load_policy(Path(own["policy"]), own["device"], own["allowed_targets"])
     evaluate(own, policy, scenes, folder, overrides)
     return False
 

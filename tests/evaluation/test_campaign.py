@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 from matplotlib import pyplot as plt
 from mcap.reader import make_reader
 from omegaconf import OmegaConf
@@ -14,6 +15,8 @@ from resc.evaluation.campaign import evaluate
 from resc.evaluation.courses import drawn
 from resc.evaluation.references import Reference, crossings, keep, limits_of
 from resc.evaluation.suites import Amount
+from resc.flying.pilot import Pilot, PolicyPilot
+from resc.flying.pursuit import Pursuit
 from resc.planning.trajectory import Trajectory
 from resc.policies.stored import Policy
 from resc.recording.reader import RolloutLog
@@ -199,3 +202,62 @@ def test_suite_counts_its_maps_and_draws_the_worst(evaluation, policy, tmp_path)
     assert "| maps without a route" in text
     height, width, _ = plt.imread(tmp_path / "flight_grove.png").shape
     assert width > 500 < height
+
+
+@pytest.fixture(scope="module")
+def together(evaluation, policy, tmp_path_factory):
+    """Two flights each by two pilots: the folder, and what was printed."""
+    folder = tmp_path_factory.mktemp("together")
+    pilots = [PolicyPilot(policy), Pursuit(speed_mps=1.5).named("pursuit")]
+    config = evaluation("flights=2", "recorder=mcap", "scene_files=0")
+    return folder, evaluate(config, policy, SCENES, folder, pilots=pilots)
+
+
+def test_table_of_two_pilots_has_a_row_for_each_and_every_scene(together):
+    folder, text = together
+    rows = [line.split("|")[1:3] for line in text.splitlines() if line.startswith("|")][2:]
+    names = [(scene.strip(), pilot.strip()) for scene, pilot in rows]
+    assert names == [(s, p) for s in (*SCENES, "all") for p in ("policy", "pursuit")]
+    assert text.split("\n\nreport")[0].strip() in (folder / "report.md").read_text()
+
+
+def test_flights_of_two_pilots_are_told_apart_and_start_alike(together):
+    folder, _ = together
+    with (folder / "flights.csv").open() as file:
+        flights = list(csv.DictReader(file))
+    assert [row["pilot"] for row in flights] == ["policy"] * 4 + ["pursuit"] * 4
+    with (folder / "scenes.csv").open() as file:
+        assert [row["pilot"] for row in csv.DictReader(file)] == ["policy"] * 3 + ["pursuit"] * 3
+    worlds = [RolloutLog(folder / name / "rollouts") for name in ("policy", "pursuit")]
+    assert [log.metadata["pilot"] for log in worlds] == ["policy", "pursuit"]
+    assert worlds[1].metadata["speed_mps"] == "1.5"
+    ours, theirs = (log.start(0)[("state", "position_w")] for log in worlds)
+    assert torch.equal(ours, theirs)
+
+
+def test_summary_of_two_pilots_has_that_of_each(together):
+    folder, _ = together
+    summary = json.loads((folder / "summary.json").read_text())
+    assert list(summary["pilots"]) == ["policy", "pursuit"]
+    assert summary["pilots"]["pursuit"]["episodes"] == 4
+    assert summary["pilots"]["pursuit"]["pilot"]["speed_mps"] == "1.5"
+
+
+def test_every_pilot_has_its_pictures(together):
+    folder, _ = together
+    for name in ("policy", "pursuit"):
+        assert (folder / name / "flight_corridor.png").exists()
+
+
+def test_pilot_that_cannot_fly_is_refused_before_anything_is_planned(evaluation, policy, tmp_path):
+    class Blind(Pilot):
+        def check(self, stages):
+            raise ConfigError("pilot.blind needs eyes.")
+
+        def act(self, world, observation):
+            return observation
+
+    scenes = {"nowhere": {"_target_": "resc.scenes.nowhere.Nowhere"}}
+    with pytest.raises(ConfigError, match="needs eyes"):
+        evaluate(evaluation(), policy, scenes, tmp_path / "out", pilots=[Blind()])
+    assert not (tmp_path / "out").exists()

@@ -8,7 +8,7 @@ import torch
 from omegaconf import OmegaConf
 
 from resc.errors import ConfigError
-from resc.evaluation.campaign import references_of
+from resc.evaluation.by_pilot import references_of
 from resc.evaluation.courses import lay_out
 from resc.evaluation.references import (
     STORED,

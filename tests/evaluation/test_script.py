@@ -78,3 +78,21 @@ def test_job_done_exits_with_zero_whatever_came_of_the_flights(tmp_path, untrain
     assert code == 0, said
     assert told.startswith("|")
     assert json.loads((tmp_path / "summary.json").read_text())["episodes"] == 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["pilot=pursit"], "pilot has no 'pursit'. Did you mean 'pursuit'? Available: "),
+        (["pilot=[policy,policy]"], "pilot.policy is defined by pilot/policy, listed twice; "),
+        (["pilot=[]"], "pilot is empty; name at least one file of conf/pilot: pilot=policy."),
+        (["pilot=pursuit", "pilot.pursuit.sped=2"], "pilot.pursuit.sped is no setting: "),
+    ],
+)
+def test_wrong_pilots_are_one_sentence(tmp_path, arguments, message):
+    code, _, said = evaluate(tmp_path / "out", *arguments)
+    assert code == 1
+    assert said.startswith(f"error: {message}")
+    assert said.count("\n") == 1
+    assert not list(tmp_path.glob("out/*.md"))

@@ -129,6 +129,7 @@ def test_command_becomes_that_of_an_evaluation(tmp_path):
         ([".", "-m"], "leave out -m"),
         ([".", "policy=latest"], "leave out policy=latest"),
         ([".", "replay=x"], "leave out replay=x"),
+        ([".", "pilot=pursuit"], "leave out pilot=pursuit"),
     ],
 )
 def test_wrong_commands_are_one_sentence(words, message):

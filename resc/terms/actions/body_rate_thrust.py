@@ -81,3 +81,11 @@ class BodyRateThrust(Action):
         low, high = self.thrust_range_g
         thrust = self.weight_n * ((applied[:, 3:] + 1) / 2 * (high - low) + low)
         return queue, applied[:, :3] * self.limit, thrust
+
+    def commanding(
+        self, body_rate: Float[Tensor, "n 3"], thrust: Float[Tensor, "n 1"]
+    ) -> Float[Tensor, "n 4"]:
+        """The action that commands these body rates [rad/s] and thrusts [N], as far as it can."""
+        low, high = self.thrust_range_g
+        throttle = 2 * (thrust / self.weight_n - low) / (high - low) - 1
+        return torch.cat((body_rate / self.limit, throttle), -1).clamp(-1, 1)

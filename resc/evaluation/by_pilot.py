@@ -1,0 +1,197 @@
+"""One pilot on all courses of an evaluation, and what it leaves in a folder."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from resc.errors import RecordingError
+from resc.evaluation.courses import Course
+from resc.evaluation.panel import Flown
+from resc.evaluation.picture import draw_overview, draw_scene
+from resc.evaluation.references import Reference, References, crossings, digest
+from resc.evaluation.scene_files import write_scene_files
+from resc.evaluation.setting import build_flying_env
+from resc.evaluation.statistics import SceneReport, asked, join, report_scenes, tabulate
+from resc.evaluation.table import failures, markdown, write_flights, write_scenes
+from resc.flying.flights import Flights, fly_recorded
+from resc.flying.pilot import Pilot
+from resc.planning.time_optimal import Limits
+
+ROLLOUTS, SCENES = "rollouts", "scenes"
+REPORT, SCENES_TABLE, FLIGHTS_TABLE, PICTURE = (
+    "report.md",
+    "scenes.csv",
+    "flights.csv",
+    "flights.png",
+)
+Settings = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Contest:
+    """What every pilot of an evaluation flies and is measured by.
+
+    Args:
+        config: Of the evaluation.
+        courses: The scenes, laid out and planned.
+        rules: Settings of the environment, by whether the scenes bring their own routes.
+        limits: What is asked of every flight.
+        references: What flights are compared with.
+        overrides: Of the command, for the recordings.
+    """
+
+    config: Settings
+    courses: Sequence[Course]
+    rules: Mapping[bool, Settings]
+    limits: Limits
+    references: References
+    overrides: Sequence[str] = ()
+
+    def arrival_m(self, course: Course) -> float:
+        """How near to a control point a flight reaches it [m]."""
+        rules = self.rules[course.own_routes]
+        return float(rules["task"]["control_points"].get("radius_m", 0.5))
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of one pilot.
+
+    Args:
+        pilot: What flew.
+        table: A row per flight.
+        reports: One per scene and, of several, one over all.
+        frames: Steps flown.
+        flying_s: What they took.
+        text: The report.
+        told: What to say of the 3-D scenes, nothing if there are none.
+    """
+
+    pilot: Pilot
+    table: dict[str, np.ndarray]
+    reports: Sequence[SceneReport]
+    frames: int
+    flying_s: float
+    text: str
+    told: str
+
+
+def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Result:
+    """Flies every course, and leaves tables, pictures and recordings in the folder."""
+    courses, limits = contest.courses, contest.limits
+    flown = fly_courses(courses, pilot, contest.rules, folder, contest.overrides)
+    folder.mkdir(parents=True, exist_ok=True)
+    measured_by = {c.name: references_of(c, limits, contest.references) for c in courses}
+    tables = [
+        tabulate(c, flown[c.name], measured_by[c.name], contest.arrival_m(c)) for c in courses
+    ]
+    tables = [{**table, **asked(limits, len(table["scene"]))} for table in tables]
+    reports = report_scenes(tables, [course.redrawn for course in courses])
+    _draw(contest, flown, measured_by, reports, folder)
+    table = join(tables)
+    write_scenes(reports, folder / SCENES_TABLE)
+    write_flights(table, folder / FLIGHTS_TABLE)
+    text = f"{markdown(reports, limits)}\n{failures(reports)}".rstrip() + "\n"
+    (folder / REPORT).write_text(f"# {title}\n\n{text}")
+    return Result(
+        pilot=pilot,
+        table=table,
+        reports=reports,
+        frames=sum(flights.frames for flights in flown.values()),
+        flying_s=sum({flights.wall_s for flights in flown.values()}),
+        text=text,
+        told=_write_scene_files(contest, folder),
+    )
+
+
+def references_of(course: Course, limits: Limits, references: References) -> list[Reference | None]:
+    """The reference of every flight; none where nothing is stored for its scene and limits."""
+    if course.own_routes:
+        return [None] * len(course)
+    sought = crossings(course.layout, course.nominal_w, limits)
+    return [references.get(digest(crossing)) for crossing in sought]
+
+
+def fly_courses(
+    courses: Sequence[Course],
+    pilot: Pilot,
+    rules: Mapping[bool, Settings],
+    folder: Path,
+    overrides: Sequence[str] = (),
+) -> dict[str, Flights]:
+    """The flights of every course: all at once where the same rules hold.
+
+    Args:
+        courses: What to fly.
+        pilot: What flies.
+        rules: Settings of the environment, by whether the scenes bring their own routes.
+        folder: Where the recordings go, each set of rules in one of its own.
+        overrides: Of the command, for the recordings.
+    """
+    flown: dict[str, Flights] = {}
+    for directory, group in _flown_together(courses, folder).items():
+        settings = rules[group[0].own_routes]
+        flown |= _fly_together(group, pilot, settings, directory, overrides)
+    return flown
+
+
+def _flown_together(courses: Sequence[Course], folder: Path) -> dict[Path, list[Course]]:
+    """The courses that share their rules, by where they are recorded."""
+    groups = {}
+    for own_routes in (False, True):
+        group = [course for course in courses if course.own_routes == own_routes]
+        if group:
+            mixed = len(group) < len(courses) and own_routes
+            groups[folder / (f"{ROLLOUTS}_own_routes" if mixed else ROLLOUTS)] = group
+    return groups
+
+
+def _fly_together(
+    courses: Sequence[Course],
+    pilot: Pilot,
+    settings: Settings,
+    directory: Path,
+    overrides: Sequence[str],
+) -> dict[str, Flights]:
+    env = build_flying_env(courses, settings)
+    flights = fly_recorded(env, pilot, settings, directory, overrides)
+    flown, first = {}, 0
+    for course in courses:
+        flown[course.name] = flights.rows(first, first + len(course))
+        first += len(course)
+    return flown
+
+
+def _draw(
+    contest: Contest,
+    flown: Mapping[str, Flights],
+    measured_by: Mapping[str, Sequence[Reference | None]],
+    reports: Sequence[SceneReport],
+    folder: Path,
+) -> None:
+    """A picture of every scene, and one of all."""
+    pictured = []
+    for course, report in zip(contest.courses, reports, strict=False):
+        resolution = contest.rules[course.own_routes]["env"]["resolution_m"]
+        own = flown[course.name], measured_by[course.name]
+        pictured.append(Flown(course, *own, report, contest.arrival_m(course), resolution))
+    for scene in pictured:
+        draw_scene(scene, folder / f"flight_{scene.course.name}.png")
+    draw_overview(pictured, folder / PICTURE)
+
+
+def _write_scene_files(contest: Contest, folder: Path) -> str:
+    """Writes the 3-D scenes; returns what to say of them, nothing if there are none."""
+    try:
+        written = write_scene_files(
+            _flown_together(contest.courses, folder),
+            folder / SCENES,
+            first=contest.config["scene_files"],
+            allowed=contest.config["allowed_targets"],
+        )
+    except RecordingError as error:
+        return f"No (more) 3-D scenes: {error}"
+    return f"{len(written)} 3-D scenes for Foxglove" if written else ""
