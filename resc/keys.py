@@ -177,6 +177,10 @@ GROUPS = ("termination", "reward", "metric", "observation", "difficulty")
 """First part of the keys that terms name themselves: `(group, name)`."""
 
 
+AHEAD: NestedKey = ("frame", "ahead")
+"""Cosine and sine of the yaw [n, 2] during a step whose observations are turned by it."""
+
+
 def previous(key: NestedKey) -> NestedKey:
     """The key under which the value that `key` had before the current step is kept."""
     return ("memory", *key)

@@ -19,8 +19,6 @@ from resc.quantities import NotNegative, checked
 from resc.scenes.layout import PARKED_M, Layout, Scene
 from resc.scenes.pool import ScenePool
 from resc.term import Curriculum, Observation, Term
-from resc.terms.randomizations.action_delay import ActionDelay
-from resc.terms.randomizations.limits import Margin
 
 PROBED = 32
 """Scenes laid out to look at, before a whole pool is."""
@@ -107,8 +105,6 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
     vehicle = build(config["vehicle"], "vehicle", allowed=allowed)
     env = resolved(config["env"], "env")
     layout = checked("env.layout", env.pop("layout", []), Sequence[str])
-    context = build({"_target_": "resc.term.Context", **env}, "env", vehicle=vehicle)
-
     parts = {
         group.stage: _build_group(group, config.get(group.name), allowed)
         for group in GROUPS
@@ -122,8 +118,16 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
     if not terms.rewards or not terms.observations or not terms.terminations:
         raise ConfigError("reward, observation and termination need at least one term each.")
     scene = config.get("scene") or {}
-    _check_delays(terms)
-    _check_margins(terms, scene.get("clearance_m"))
+    kept = scene.get("clearance_m")
+    if kept is not None:
+        kept = checked("scene.clearance_m", plain(kept), Sequence[NotNegative])
+    context = build(
+        {"_target_": "resc.term.Context", **env},
+        "env",
+        vehicle=vehicle,
+        longest_delay_steps=terms.action.longest_delay_steps,
+        clearance_m=kept,
+    )
     return Stages(terms, context, scene.get("difficulty"))
 
 
@@ -156,38 +160,6 @@ def _require_ways(layout: Layout, radius_m: object) -> None:
             f"task.control_points.radius_m is {radius_m}, but no goal is farther than "
             f"{farthest_m:.3g} m from its start; lower it."
         )
-
-
-def _check_delays(terms: Terms) -> None:
-    """A delay that the action's queue cannot hold would be cut without a word."""
-    held = getattr(terms.action, "dims", {}).get("d", 1) - 1
-    for term in terms.randomizations:
-        if isinstance(term, ActionDelay) and term.longest_steps > held:
-            raise ConfigError(
-                f"randomization.{term.name}.longest_steps is {term.longest_steps}, but the "
-                f"action's queue holds {held}; raise action.longest_delay_steps."
-            )
-
-
-def _check_margins(terms: Terms, clearance_m: Any) -> None:
-    """Margins that follow the scene's routes and are said to be others would be cut, or never met.
-
-    Equal ends fix the margin whatever the routes keep.
-    """
-    if clearance_m is None:
-        return
-    kept = checked("scene.clearance_m", plain(clearance_m), Sequence[NotNegative])
-    for term in terms.randomizations:
-        if not isinstance(term, Margin) or len(set(term.margin_m)) == 1:
-            continue
-        met = [round(end - term.headroom_m, 6) for end in kept]
-        if met != [round(end, 6) for end in term.margin_m]:
-            raise ConfigError(
-                f"randomization.{term.name}.margin_m is {list(term.margin_m)}, but routes keep "
-                f"scene.clearance_m={kept}, less {term.headroom_m:g} m of headroom "
-                f"{met}; set scene.clearance_m="
-                f"{[round(end + term.headroom_m, 6) for end in term.margin_m]}."
-            )
 
 
 def _in_layout(observations: list[Observation], layout: Iterable[str]) -> list[Observation]:

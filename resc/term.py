@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, TypedDict
+from typing import Annotated, Any, ClassVar, TypedDict, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -31,6 +31,9 @@ class Context:
         observation_frame: What horizontal vectors of the observation are aligned with: the axes of
             the world, or the vehicle's heading.
         history: Steps that an observation shows when it does not say itself.
+        longest_delay_steps: What the action's queue holds; None where it is not known.
+        clearance_m: Least and greatest distance that the routes of the scenes keep; None where they
+            do not say.
     """
 
     dt_s: Annotated[float, Within(1e-4, 0.5)]
@@ -38,6 +41,8 @@ class Context:
     vehicle: Any
     observation_frame: str = "world"
     history: Count = 1
+    longest_delay_steps: int | None = None
+    clearance_m: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("dt_s", "resolution_m"):
@@ -55,10 +60,14 @@ class Term(TensorDictModuleBase):
     """A pure function from the tensors under `reads` to the tensors under `writes`.
 
     `writes = ()` means one key named by the configuration, `(group, name)`. Terms hold constants
-    only; what must survive a step is written under a key with an `initial` value. `draws` uniform
-    numbers per reset environment reach `compute` as its last argument when `draws > 0`. Its keys
-    stand under `group`, its configuration under `section` where that is another. A term whose
-    number may be the episode's own, where it is configured as null, adds its key to `reads`.
+    only; what must survive a step is written under a key with an `initial` value, or under one that
+    it `keeps` and gives a value in `begin`. Its keys stand under `group`, its configuration under
+    `section` where that is another. A term whose number may be the episode's own, where it is
+    configured as null, adds its key to `reads`. `dims` are the lengths of declared axes that have
+    names.
+
+    Uniform numbers in [0, 1) per environment reach `compute` as its last argument: `draws` of them
+    for terms of the reset, `step_draws`, anew at every step and reset, for all others.
 
     A term that `eases` can be made easier: with `difficulty: name` in its configuration, the
     difficulty of that name, [n, 1] in [0, 1], follows all other arguments of `compute`.
@@ -67,15 +76,23 @@ class Term(TensorDictModuleBase):
     reads: tuple[NestedKey, ...] = ()
     writes: ClassVar[tuple[NestedKey, ...]] = ()
     initial: Mapping[NestedKey, float] = {}
+    keeps: tuple[NestedKey, ...] = ()
+    dims: Mapping[str, int] = {}
     group: ClassVar[str] = ""
     section: ClassVar[str] = ""
     draws: int = 0
+    step_draws: int = 0
     name: str = ""
     eases: ClassVar[bool] = False
     difficulty: str | None = None
 
     def bind(self, context: Context) -> None:
         """Takes the constants of its surroundings, once, before the first `compute`."""
+
+    def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
+        """What it keeps at the beginning of an episode, beside `initial`, from what is there."""
+        del tensors
+        return {}
 
     def compute(self, *tensors: Tensor) -> Tensor | tuple[Tensor, ...]:
         """The maths, on batched tensors in the order of `reads`."""
@@ -101,31 +118,47 @@ class Term(TensorDictModuleBase):
         """The keys it writes, the name filled in."""
         return self.writes or ((self.group, self.name),)
 
+    @property
+    def blocks(self) -> dict[str, int]:
+        """Widths of the uniform blocks that `run` takes at every step, by generator."""
+        return {self.path: self.step_draws} if self.step_draws else {}
+
     def run(self, tensors: dict[NestedKey, Tensor], *drawn: Tensor) -> None:
         """Reads from and writes to a flat dict: what the compiled step is made of."""
-        given = (*(tensors[key] for key in self.reads), *drawn, *self.easing(tensors))
-        result = self.compute(*given)
+        result = self.compute(*self.given(tensors, *drawn))
         values = result if isinstance(result, tuple) else (result,)
         for key, value in zip(self.outputs, values, strict=True):
             tensors[key] = value
+
+    def given(self, tensors: dict[NestedKey, Tensor], *drawn: Tensor) -> tuple[Tensor, ...]:
+        """The arguments of `compute`."""
+        return (*(tensors[key] for key in self.reads), *drawn, *self.easing(tensors))
 
     def easing(self, tensors: dict[NestedKey, Tensor]) -> tuple[Tensor, ...]:
         """The difficulty that `compute` takes as its last argument, if one is configured."""
         return (tensors[keys.difficulty(self.difficulty)],) if self.difficulty else ()
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def forward(self, tensordict: TensorDictBase, *drawn: Tensor) -> TensorDictBase:
         """TensorDict in, TensorDict out: the same as `run`, for tests and notebooks."""
-        result = self.compute(*(tensordict[key] for key in self.reads))
-        values = result if isinstance(result, tuple) else (result,)
-        for key, value in zip(self.outputs, values, strict=True):
-            tensordict[key] = value
+        there = tensordict.keys(include_nested=True, leaves_only=True)
+        tensors = {
+            key if isinstance(key, tuple) else (key,): cast(Tensor, tensordict[key])
+            for key in there
+        }
+        self.run(tensors, *drawn)
+        for key in self.outputs:
+            tensordict[key] = tensors[key]
         return tensordict
 
 
 class Action(Term):
-    """Turns the policy's output into a command. `width` is the number of actions."""
+    """Turns the policy's output into a command.
+
+    `width` is the number of actions; a command waits for at most `longest_delay_steps`.
+    """
 
     width: ClassVar[int]
+    longest_delay_steps: int = 0
 
 
 class Sensor(Term):
@@ -155,8 +188,7 @@ class Observation(Term):
     At a reset there is none; the first observation then stands in every step, because zeros would
     read as a real state (at rest, on the control point) and as a jump one step later.
 
-    `step_draws` uniform numbers in [0, 1) per environment reach `compute` as its last argument,
-    anew at every step and reset.
+    The noise has a generator of its own, so that it leaves the draws of `compute` alone.
 
     Args:
         scale: Factor applied to the raw SI value.
@@ -167,7 +199,6 @@ class Observation(Term):
 
     group = "observation"
     columns: tuple[str, ...] = ()
-    step_draws: int = 0
     compute: Callable[..., Tensor]
 
     def __init__(
@@ -191,6 +222,31 @@ class Observation(Term):
         self.noise = noise
         self.clip = clip
         self.history = history
+
+    @property
+    def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Its block, if that has a past."""
+        return self.outputs if self.width > len(self.columns) else ()
+
+    @property
+    def blocks(self) -> dict[str, int]:
+        """Its own draws, and those of its noise."""
+        # Not by super(): torch.compile cannot follow it to a property.
+        own = {self.path: self.step_draws} if self.step_draws else {}
+        noise = {f"{self.path}.noise": len(self.columns)} if self.noise else {}
+        return own | noise
+
+    def run(self, tensors: dict[NestedKey, Tensor], *drawn: Tensor) -> None:
+        """Writes the block [n, width]: computed, turned, shaped, and with its past.
+
+        What it wrote before is its past; where there is none, an episode begins.
+        """
+        (key,) = self.outputs
+        own, noise = drawn[: bool(self.step_draws)], drawn[bool(self.step_draws) :]
+        value = self.compute(*self.given(tensors, *own))
+        if keys.AHEAD in tensors:
+            value = self.turned(value, tensors[keys.AHEAD])
+        tensors[key] = self.lengthened(self.shaped(value, *noise), tensors.get(key))
 
     @property
     def width(self) -> int:
@@ -223,11 +279,19 @@ class Observation(Term):
         return torch.stack(columns, -1)
 
     def shaped(self, raw: Tensor, unit: Tensor | None = None) -> Tensor:
-        """Scale, noise from uniform numbers `unit` [n, c], clip; history is the step's."""
+        """Scale, noise from uniform numbers `unit` [n, c], clip."""
         value = raw * self.scale
         if unit is not None:
             value = value + self.scale * self.noise * gaussian(unit)
         return value if self.clip is None else value.clamp(-self.clip, self.clip)
+
+    def lengthened(self, value: Tensor, past: Tensor | None) -> Tensor:
+        """The newest values [n, c] before those of the past [n, width], the oldest left out."""
+        ages = self.width // len(self.columns)
+        if ages == 1:
+            return value
+        rest = value.repeat(1, ages - 1) if past is None else past[:, : -len(self.columns)]
+        return torch.cat((value, rest), -1)
 
 
 class Reward(Term):
@@ -256,12 +320,14 @@ class Reward(Term):
 class Termination(Term):
     """A reason to end an episode, [n, 1] bool.
 
-    `truncates`: the clock's doing, so the value function bootstraps.
+    `truncates`: the clock's doing, so the value function bootstraps. `collision`: an obstacle's, so
+    that it counts among the collisions.
     """
 
     group = "termination"
     truncates: ClassVar[bool] = False
     success: ClassVar[bool] = False
+    collision: ClassVar[bool] = False
 
 
 class Randomization(Term):
@@ -283,6 +349,25 @@ class Metric(Term):
     start: ClassVar[float] = 0.0
     freezes_at_finish: ClassVar[bool] = True
     compute: Callable[..., Tensor]
+
+    @property
+    def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Its number."""
+        return self.outputs
+
+    def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
+        """Its number at the reset."""
+        (key,) = self.outputs
+        return {key: torch.zeros_like(tensors[keys.CLOCK]) + self.start}
+
+    def run(self, tensors: dict[NestedKey, Tensor], *drawn: Tensor) -> None:
+        """Moves its number on by a step."""
+        (key,) = self.outputs
+        before = tensors[key]
+        value = self.compute(before, *self.given(tensors, *drawn))
+        if self.freezes_at_finish:
+            value = torch.where(tensors[keys.previous(keys.FINISHED)], before, value)
+        tensors[key] = value
 
 
 class Curriculum(Term):

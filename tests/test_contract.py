@@ -119,13 +119,14 @@ def flight(make_env):
     return tensors | {TERMINATED: flags % 2 == 0, TRUNCATED: flags % 3 == 1, DONE: flags % 6 != 3}
 
 
-def width(term):
-    """Uniform numbers that it takes: an observation's at every step, any other's at a reset."""
-    return getattr(term, "step_draws", term.draws)
+def widths(term):
+    """Uniform blocks that it takes: those of every step, or that of a reset."""
+    return [*term.blocks.values()] or [term.draws] * bool(term.draws)
 
 
 def draw(term):
-    return torch.rand(COUNT, width(term), generator=torch.Generator().manual_seed(1))
+    generator = torch.Generator().manual_seed(1)
+    return [torch.rand(COUNT, width, generator=generator) for width in widths(term)]
 
 
 def run(term, flight, rows=None):
@@ -138,13 +139,9 @@ def run(term, flight, rows=None):
         for key in term.outputs
         if isinstance(term, kinds.Metric)
     }
-    tensors, drawn = dict(inputs), [draw(term)[chosen]] if width(term) else []
+    tensors, drawn = dict(inputs), [block[chosen] for block in draw(term)]
     copies = {key: inputs[key].clone() for key in term.reads}
-    if isinstance(term, kinds.Metric):
-        (key,) = term.outputs
-        tensors[key] = term.compute(inputs[key], *(inputs[k] for k in term.reads))
-    else:
-        term.run(tensors, *drawn)
+    term.run(tensors, *drawn)
     changed = {key for key, value in tensors.items() if value is not inputs.get(key)}
     assert changed <= set(term.outputs)
     for key, value in copies.items():

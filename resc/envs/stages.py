@@ -11,8 +11,6 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.keys import DECLARED, NestedKey, previous
 from resc.math.rotation import heading
-from resc.math.route import next_two
-from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import (
     Action,
     Context,
@@ -109,7 +107,7 @@ class Stages(nn.Module):
             term.history = term.history or context.history
         for name, value in context.vehicle.parameters().items():
             self.register_buffer(_buffer_name(name), value, persistent=False)
-        own = {key for term in terms for key in (*term.outputs, *term.initial)}
+        own = {key for t in terms for key in (*t.outputs, *t.initial, *t.keeps)}
         read = {key for term in terms for key in term.reads}
         wanted = {key for key in read if key[0] == "memory" and key not in own}
         if terms.metrics:
@@ -135,13 +133,8 @@ class Stages(nn.Module):
 
     @property
     def step_draws(self) -> dict[str, int]:
-        """Widths of the uniform blocks drawn anew at every step and reset, by generator.
-
-        An observation's noise has a generator of its own, so that it leaves its other draws alone.
-        """
-        own = {_draws(term): term.step_draws for term in self.terms.observations}
-        noise = {_noise(term): len(term.columns) for term in self.terms.observations if term.noise}
-        return {name: width for name, width in (own | noise).items() if width}
+        """Widths of the uniform blocks drawn anew at every step and reset, by generator."""
+        return {name: width for term in self.terms for name, width in term.blocks.items()}
 
     def step(
         self, world: World, shared: World, action: Tensor, drawn: Mapping[str, Tensor]
@@ -162,15 +155,13 @@ class Stages(nn.Module):
             *terms.sensors,
             *terms.terminations,
         ):
-            term.run(tensors)
+            _run(term, tensors, drawn)
         self._finish(tensors)
-        for term in terms.rewards:
-            term.run(tensors)
+        for term in (*terms.rewards, *terms.metrics):
+            _run(term, tensors, drawn)
         reward_terms = torch.cat([term.weighted(tensors) for term in terms.rewards], -1)
-        for term in terms.metrics:
-            self._advance_metric(term, tensors)
         out = StepOutput(
-            observation=self._observe(tensors, drawn, first=False),
+            observation=self._observe(tensors, drawn),
             reward=reward_terms.sum(-1, keepdim=True),
             terminated=tensors[keys.TERMINATED],
             truncated=tensors[keys.TRUNCATED],
@@ -205,25 +196,13 @@ class Stages(nn.Module):
             tensors[key] = getattr(self, _buffer_name(key)).expand(count, -1)
         for term in (*terms.randomizations, terms.initial_state):
             term.run(tensors, *([drawn[term.name]] if term.draws else []))
-        start = tensors[keys.POSITION_W]
-        zero = start[:, :1] * 0
-        hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
-        length = tensors[keys.ROUTE_LENGTH]
-        tensors |= {
-            keys.CLOCK: zero,
-            keys.ACCELERATION_W: torch.zeros_like(start),
-            keys.ROTOR_THRUST: hover.expand(-1, 4),
-            keys.ROUTE_INDEX: torch.zeros_like(length),
-            keys.FINISHED: torch.zeros_like(length, dtype=torch.bool),
-            keys.CONTROL_POINTS_W: next_two(
-                tensors[keys.ROUTE_W], length, torch.zeros_like(length)
-            ),
-        }
+        zero = tensors[keys.POSITION_W][:, :1] * 0
+        tensors |= {keys.CLOCK: zero, keys.FINISHED: torch.zeros_like(zero, dtype=torch.bool)}
         for term in terms:
             for key, value in term.initial.items():
-                tensors[key] = start.new_full((count, *_shape(key, term)), value)
-        for term in terms.metrics:
-            tensors[term.outputs[0]] = zero + term.start
+                tensors[key] = zero.new_full((count, *_shape(key, term)), value)
+            tensors |= term.begin(tensors)
+        self._require_begun(tensors)
         return self.begin(tensors, shared, drawn)
 
     def begin(
@@ -233,30 +212,24 @@ class Stages(nn.Module):
         tensors = {**world, **shared}
         for key in self.memory:
             tensors[key] = tensors[key[1:]]
+        for term in self.terms.observations:
+            tensors.pop(term.outputs[0], None)  # an episode that begins has no past
         for term in self.terms.sensors:
             if all(key in tensors for key in term.reads):
-                term.run(tensors)
-        observation = self._observe(tensors, drawn, first=True)
+                _run(term, tensors, drawn)
+        observation = self._observe(tensors, drawn)
         return {key: tensors[key] for key in self.persistent}, observation
 
     @property
     def persistent(self) -> list[NestedKey]:
         """Keys of the world: what one step hands to the next."""
         state = [key for key in DECLARED if key[0] in ("state", "params")]
-        task = [
-            keys.ROUTE_W,
-            keys.ROUTE_LENGTH,
-            keys.ROUTE_INDEX,
-            keys.CONTROL_POINTS_W,
-            keys.FINISHED,
-        ]
+        task = [*self.terms.task.keeps, keys.FINISHED]
         drawn = [key for term in self.terms.randomizations for key in term.outputs]
-        kept = [key for term in self.terms for key in term.initial]
-        metrics = [term.outputs[0] for term in self.terms.metrics]
-        seen = [t.outputs[0] for t in self.terms.observations if t.width > len(t.columns)]
+        kept = [key for term in self.terms for key in (*term.initial, *term.keeps)]
         eased = [keys.difficulty(name) for name in self.difficulties]
-        kept = list(dict.fromkeys([*(key for key in drawn if key not in state), *kept]))
-        return [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *kept, *metrics, *seen, *eased]
+        every = [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *drawn, *kept, *eased]
+        return list(dict.fromkeys(every))
 
     def _finish(self, tensors: World) -> None:
         """Combines the terminations into terminated, truncated, done and the outcome's number."""
@@ -278,38 +251,37 @@ class Stages(nn.Module):
         tensors[keys.DONE] = terminated | truncated
         tensors[("outcome",)] = torch.where(finished, 0, outcome)
 
-    def _advance_metric(self, term: Metric, tensors: World) -> None:
-        key = term.outputs[0]
-        value = term.compute(tensors[key], *(tensors[k] for k in term.reads))
-        if term.freezes_at_finish:
-            value = torch.where(tensors[previous(keys.FINISHED)], tensors[key], value)
-        tensors[key] = value
-
-    def _observe(self, tensors: World, drawn: Mapping[str, Tensor], *, first: bool) -> Tensor:
-        """All blocks [n, width]; those with a history are kept in the world under their key."""
-        turning = self.context.observation_frame == "heading"
-        ahead = heading(tensors[keys.ATTITUDE_WB]) if turning else None
-        blocks = []
+    def _observe(self, tensors: World, drawn: Mapping[str, Tensor]) -> Tensor:
+        """All blocks side by side [n, width]."""
+        if self.context.observation_frame == "heading":
+            tensors[keys.AHEAD] = heading(tensors[keys.ATTITUDE_WB])
         for term in self.terms.observations:
-            own = [drawn[_draws(term)]] if term.step_draws else []
-            block = term.compute(*(tensors[key] for key in term.reads), *own)
-            if ahead is not None:
-                block = term.turned(block, ahead)
-            block = term.shaped(block, drawn[_noise(term)] if term.noise else None)
-            one = len(term.columns)
-            if term.width > one:
-                (key,) = term.outputs
-                past = block.repeat(1, term.width // one - 1) if first else tensors[key][:, :-one]
-                block = tensors[key] = torch.cat((block, past), -1)
-            blocks.append(block)
-        return torch.cat(blocks, -1)
+            _run(term, tensors, drawn)
+        return torch.cat([tensors[term.outputs[0]] for term in self.terms.observations], -1)
+
+    def _require_begun(self, tensors: World) -> None:
+        """What the world holds must have a value where an episode begins."""
+        seen = {key for term in self.terms.observations for key in term.outputs}
+        for key in self.persistent:
+            if key not in tensors and key not in seen:
+                makers = [term for term in self.terms if key in (*term.outputs, *term.keeps)]
+                raise ConfigError(
+                    f"{makers[0].path if makers else 'dynamics'} does not say what "
+                    f"{'.'.join(key)} is at the beginning of an episode; add it to its begin()."
+                )
 
     def _check_wiring(self) -> None:
         """Every key a term reads must be there before it runs, for observations at a reset too."""
+        if keys.FINISHED not in self.terms.task.outputs:
+            raise ConfigError(
+                f"{self.terms.task.path} does not write {'.'.join(keys.FINISHED)}, by which "
+                "episodes succeed; let it write whether the task is done."
+            )
         kept = set(self.persistent)
         past = {key for key in self.memory if key[1:] in kept}
         shared = {key for key, declared in DECLARED.items() if declared.shared}
         of_scene = {keys.START_W, keys.START_MOTION, keys.ROUTE_CLEARANCE}
+        of_scene |= {keys.ROUTE_W, keys.ROUTE_LENGTH}
         at_reset = shared | kept | past | of_scene | {keys.CLOCK}
         known = at_reset | {keys.ACTION}
         for term in self.terms:
@@ -344,14 +316,9 @@ def _require(term: Term, known: set[NestedKey], fact: str) -> None:
             )
 
 
-def _draws(term: Observation) -> str:
-    """Name of the generator of an observation's own draws."""
-    return f"observation.{term.name}"
-
-
-def _noise(term: Observation) -> str:
-    """Name of the generator of an observation's noise."""
-    return f"observation.{term.name}.noise"
+def _run(term: Term, tensors: World, drawn: Mapping[str, Tensor]) -> None:
+    """Runs a term with the blocks that it takes at every step."""
+    term.run(tensors, *(drawn[name] for name in term.blocks))
 
 
 def _buffer_name(key: NestedKey) -> str:
@@ -360,6 +327,5 @@ def _buffer_name(key: NestedKey) -> str:
 
 def _shape(key: NestedKey, term: Term) -> tuple[int, ...]:
     """Shape per environment of a key that a term keeps."""
-    dims = getattr(term, "dims", {})
     declared = DECLARED[key].shape if key in DECLARED else (1,)
-    return tuple(dims[d] if isinstance(d, str) else d for d in declared)
+    return tuple(term.dims[d] if isinstance(d, str) else d for d in declared)

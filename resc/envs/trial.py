@@ -200,9 +200,8 @@ def _wanted(
     if isinstance(term, Termination) and key == (term.group, term.name):
         return (1,), (torch.bool,)
     if key in DECLARED:
-        dims = getattr(term, "dims", {})
         declared = DECLARED[key]
-        shape = tuple(dims.get(d) if isinstance(d, str) else d for d in declared.shape)
+        shape = tuple(term.dims.get(d) if isinstance(d, str) else d for d in declared.shape)
         return shape, (declared.dtype,)
     if key in term.initial or isinstance(term, Curriculum):
         return (1,), (torch.float32,)

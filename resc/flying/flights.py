@@ -21,8 +21,6 @@ from resc.flying.flight_log import FlightLog
 from resc.flying.pilot import Pilot
 from resc.recording.rollouts import open_recorder
 from resc.recording.writer import RolloutRecorder
-from resc.terms.terminations.collision import Collision
-from resc.terms.terminations.contact import Contact
 
 
 @dataclass(frozen=True)
@@ -195,4 +193,4 @@ def _state_of(env: QuadrotorEnv) -> tuple[Tensor, Tensor]:
 def _is_collision(env: QuadrotorEnv) -> Bool[Tensor, " o"]:
     """For each outcome, whether it is a collision with an obstacle."""
     failures = [term for term in env.stages.terms.terminations if not term.success]
-    return torch.tensor([False, *(isinstance(term, Collision | Contact) for term in failures)])
+    return torch.tensor([False, *(term.collision for term in failures)])

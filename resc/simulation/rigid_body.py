@@ -1,6 +1,7 @@
 """The rigid body, its rotors' lag and linear drag, integrated by RK4."""
 
 import math
+from collections.abc import Mapping
 from typing import Annotated
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.keys import NestedKey
 from resc.math import rotation
 from resc.math.integrate import State, rk4
 from resc.quantities import NotNegative, Within
@@ -74,6 +76,14 @@ class RigidBody(Term):
     def bind(self, context: Context) -> None:
         """Takes the control period."""
         self.dt_s = context.dt_s
+
+    def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
+        """The rotors carry the weight, and nothing has accelerated yet."""
+        hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
+        return {
+            keys.ROTOR_THRUST: hover.expand(-1, 4),
+            keys.ACCELERATION_W: torch.zeros_like(tensors[keys.VELOCITY_W]),
+        }
 
     def compute(
         self,

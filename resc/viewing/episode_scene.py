@@ -187,7 +187,7 @@ def _command(
     term: Action = build(config["action"], "action", allowed=allowed).named("action")
     term.bind(context)
     action = cast(Tensor, steps[keys.ACTION])
-    depth = getattr(term, "dims", {}).get("d", 1)
+    depth = term.longest_delay_steps + 1
     tensors: Tensors = {
         keys.ACTION: action,
         keys.ACTION_QUEUE: action.new_zeros(len(action), depth, action.shape[-1]),

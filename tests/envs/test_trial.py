@@ -9,6 +9,7 @@ from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError
 from resc.learning.curriculum import Curricula
 from resc.setup import build_stages, set_up
+from resc.simulation.rigid_body import RigidBody
 from resc.term import (
     Action,
     Curriculum,
@@ -173,9 +174,19 @@ OTHERS = {
     ),
     "dynamics that forget an output": (
         a(Term, lambda p: p * 1, writes=(keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB,
-          keys.BODY_RATE_B, keys.ROTOR_THRUST, keys.ACCELERATION_W)),
+          keys.BODY_RATE_B, keys.ROTOR_THRUST, keys.ACCELERATION_W), begin=RigidBody.begin),
         "dynamics",
         r"dynamics gives 1 tensors; expected 6",
+    ),
+    "dynamics without a beginning": (
+        a(Term, lambda p: p * 1, writes=(keys.ROTOR_THRUST,)),
+        "dynamics",
+        r"dynamics does not say what state\.rotor_thrust is at the beginning of an episode",
+    ),
+    "a task that never ends": (
+        a(Term, lambda p: p * 1, writes=(keys.CONTROL_POINTS_W,), section="task"),
+        "task",
+        r"does not write task\.finished, by which episodes succeed",
     ),
     "reads without a comma": (
         a(Reward, column, reads=keys.POSITION_W),

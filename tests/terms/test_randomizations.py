@@ -77,6 +77,6 @@ def test_every_episode_of_every_environment_has_a_parameter_of_its_own(make_env,
 def test_a_delay_that_the_queue_cannot_hold_is_refused(make_stages):
     with pytest.raises(
         ConfigError,
-        match=r"randomization\.action_delay\.longest_steps is 4, but the action's queue holds 3",
+        match=r"randomization\.action_delay: longest_steps is 4, but the action's queue holds 3",
     ):
         make_stages("randomization=[action_delay]", "randomization.action_delay.longest_steps=4")

@@ -60,6 +60,7 @@ class BodyRateThrust(Action):
         )
         self.thrust_range_g = tuple(thrust_range_g)
         self.gravity_mps2 = gravity_mps2
+        self.longest_delay_steps = longest_delay_steps
         self.dims = {"d": longest_delay_steps + 1}
         self.initial = {keys.ACTION_QUEUE: 0.0}
         self.weight_n = 0.0

@@ -6,7 +6,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.quantities import CountOrNone
-from resc.term import Randomization
+from resc.term import Context, Randomization
 
 
 class ActionDelay(Randomization):
@@ -27,6 +27,15 @@ class ActionDelay(Randomization):
             )
         self.shortest_steps = shortest_steps
         self.longest_steps = longest_steps
+
+    def bind(self, context: Context) -> None:
+        """A delay that the action's queue cannot hold would be cut without a word."""
+        held = context.longest_delay_steps
+        if held is not None and self.longest_steps > held:
+            raise ConfigError(
+                f"longest_steps is {self.longest_steps}, but the action's queue holds {held}; "
+                "raise action.longest_delay_steps."
+            )
 
     def compute(
         self, delay: Float[Tensor, "n 1"], unit: Float[Tensor, "n 1"]

@@ -9,7 +9,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.maps.constants import MapDistance
 from resc.quantities import NotNegative, Positive
-from resc.term import Randomization, uniform_between
+from resc.term import Context, Randomization, uniform_between
 
 
 class SpeedLimit(Randomization):
@@ -55,6 +55,23 @@ class Margin(Randomization):
         super().__init__()
         self.margin_m = _range("margin_m", margin_m)
         self.headroom_m = headroom_m
+
+    def bind(self, context: Context) -> None:
+        """Margins other than those that the scene's routes allow would be cut, or never met.
+
+        Equal ends fix the margin whatever the routes keep.
+        """
+        kept = context.clearance_m
+        if kept is None or len(set(self.margin_m)) == 1:
+            return
+        met = [round(end - self.headroom_m, 6) for end in kept]
+        if met != [round(end, 6) for end in self.margin_m]:
+            wanted = [round(end + self.headroom_m, 6) for end in self.margin_m]
+            raise ConfigError(
+                f"margin_m is {list(self.margin_m)}, but routes keep scene.clearance_m="
+                f"{list(kept)}, less {self.headroom_m:g} m of headroom {met}; set "
+                f"scene.clearance_m={wanted}."
+            )
 
     def compute(
         self, clearance: Float[Tensor, "n 1"], unit: Float[Tensor, "n 1"]

@@ -1,11 +1,15 @@
 """Following a route of control points, two of them in sight."""
 
+from collections.abc import Mapping
+
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
 from resc import keys
 from resc.errors import ConfigError
+from resc.keys import NestedKey
 from resc.math.route import next_two, point_at
 from resc.quantities import Positive
 from resc.term import Term
@@ -27,6 +31,7 @@ class ControlPoints(Term):
     section = "task"
     reads = (keys.POSITION_W, keys.ROUTE_W, keys.ROUTE_LENGTH, keys.ROUTE_INDEX)
     writes = (keys.ROUTE_INDEX, keys.CONTROL_POINTS_W, keys.TARGET_W, keys.PASSED, keys.FINISHED)
+    keeps = (keys.ROUTE_W, keys.ROUTE_LENGTH, keys.ROUTE_INDEX, keys.CONTROL_POINTS_W)
 
     def __init__(
         self,
@@ -45,6 +50,12 @@ class ControlPoints(Term):
         self.radius_m = radius_m
         self.half_height_m = half_height_m
         self.beyond_m = beyond_m
+
+    def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
+        """No point is passed yet."""
+        route, length = tensors[keys.ROUTE_W], tensors[keys.ROUTE_LENGTH]
+        none = torch.zeros_like(length)
+        return {keys.ROUTE_INDEX: none, keys.CONTROL_POINTS_W: next_two(route, length, none)}
 
     def compute(
         self,

@@ -18,6 +18,7 @@ class Collision(Termination):
     """
 
     reads = (keys.CLEARANCE,)
+    collision = True
 
     def __init__(self, *, radius_m: MapDistance | None = 0.3) -> None:
         super().__init__()

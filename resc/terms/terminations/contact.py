@@ -12,6 +12,7 @@ class Contact(Termination):
     """The exact distance from the centre of mass to an obstacle's surface is at most `radius_m`."""
 
     reads = (keys.SURFACE_CLEARANCE,)
+    collision = True
 
     def __init__(self, *, radius_m: NotNegative = 0.0) -> None:
         super().__init__()
