@@ -110,7 +110,7 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
         for group in GROUPS
         if group.stage
     }
-    parts["observations"] = _in_layout(parts["observations"], layout)
+    parts["observations"] = in_layout(parts["observations"], layout)
     task = resolved(config["task"], "task")
     for name, stage in TASK.items():
         parts[stage] = build_term(task.get(name), f"task.{name}", allowed, Term).named(name)
@@ -162,7 +162,7 @@ def _require_ways(layout: Layout, radius_m: object) -> None:
         )
 
 
-def _in_layout(observations: list[Observation], layout: Iterable[str]) -> list[Observation]:
+def in_layout(observations: list[Observation], layout: Iterable[str]) -> list[Observation]:
     """Observations in the order of `layout`; those it does not name follow as configured."""
     order = {name: number for number, name in enumerate(layout)}
     return sorted(observations, key=lambda term: order.get(term.name, len(order)))

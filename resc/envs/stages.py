@@ -209,10 +209,20 @@ class Stages(nn.Module):
         self, world: World, shared: World, drawn: Mapping[str, Tensor]
     ) -> tuple[World, Tensor]:
         """World and first observation of episodes that begin with the given world."""
+        return self.observe(world, shared, drawn, first=True)
+
+    def observe(
+        self, world: World, shared: World, drawn: Mapping[str, Tensor], *, first: bool
+    ) -> tuple[World, Tensor]:
+        """The world and what is observed of it, `first` in an episode or later.
+
+        Later, `world` may hold what was remembered of the step before, under `memory`; by default
+        that is as now.
+        """
         tensors = {**world, **shared}
         for key in self.memory:
-            tensors[key] = tensors[key[1:]]
-        for term in self.terms.observations:
+            tensors.setdefault(key, tensors[key[1:]])
+        for term in self.terms.observations if first else ():
             tensors.pop(term.outputs[0], None)  # an episode that begins has no past
         for term in self.terms.sensors:
             if all(key in tensors for key in term.reads):

@@ -12,6 +12,7 @@ from resc import keys
 from resc.build import build
 from resc.envs.stages import Stages, World
 from resc.errors import ConfigError
+from resc.flying.own_observation import OwnObservation
 from resc.policies.stored import Policy, load_policy, policy_folder
 from resc.recording.rollouts import digest
 from resc.schema import folder_name
@@ -105,13 +106,42 @@ class StoredPolicy(PolicyPilot):
 
     Args:
         folder: Of a run or a shipped policy; `latest` is the last run that was trained.
+        own_observation: Whether it flies by the observation of its own training, computed from the
+            world, instead of the environment's.
         allowed_targets: Prefixes of `_target_` outside resc that its configuration may name.
     """
 
-    def __init__(self, *, folder: str, allowed_targets: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        *,
+        folder: str,
+        own_observation: bool = False,
+        allowed_targets: Sequence[str] = (),
+    ) -> None:
         super().__init__(load_policy(policy_folder(folder, "policy"), allowed=allowed_targets))
+        self.own_observation = own_observation
+        self.allowed = allowed_targets
+
+    def check(self, stages: Stages) -> None:
+        """Raises a RescError if it cannot observe such an environment as in its training."""
+        if self.own_observation:
+            stages = self._own(stages).stages
+        super().check(stages)
 
     def begin(self, flights: int, stages: Stages, maps: World) -> None:
         """Takes the network to where the maps are."""
         super().begin(flights, stages, maps)
-        self.policy.head.to(maps[keys.ESDF].device)
+        self.policy.to(maps[keys.ESDF].device)
+        if self.own_observation:
+            self.observe = self._own(stages)
+            self.observe.begin(maps)
+
+    def act(self, world: TensorDictBase, observation: Float[Tensor, "n d"]) -> Float[Tensor, "n a"]:
+        """The mean action, by the observation that is its own."""
+        return super().act(world, self.observe(world) if self.own_observation else observation)
+
+    def _own(self, stages: Stages) -> OwnObservation:
+        try:
+            return OwnObservation(self.policy.config, stages, self.allowed)
+        except ConfigError as error:
+            raise ConfigError(f"pilot.{self.name}: {error}") from None

@@ -1,0 +1,91 @@
+"""What a policy of another training observes of the world that is flown."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from resc.build import build_terms
+from resc.envs.stages import Stages, World
+from resc.math.sampling import generator_for
+from resc.setup import in_layout
+from resc.term import Observation, Sensor
+
+OWN = "observation"
+"""First part of the keys of what was observed before: that of the environment is another's."""
+
+
+class OwnObservation:
+    """The observation of a stored configuration, computed from the world of another environment.
+
+    Terms, sensors, frame and history are the configuration's; vehicle, time step and maps are those
+    that are flown.
+
+    Args:
+        config: Of a trained policy.
+        stages: Of the environment.
+        allowed: Prefixes of `_target_` outside resc that the configuration may name.
+
+    Raises:
+        ConfigError: A term reads what the environment does not have.
+    """
+
+    def __init__(
+        self, config: Mapping[str, Any], stages: Stages, allowed: Sequence[str] = ()
+    ) -> None:
+        env = config["env"]
+        context = replace(
+            stages.context,
+            observation_frame=env.get("observation_frame", "world"),
+            history=env.get("history", 1),
+        )
+        observations = build_terms(config["observation"], "observation", Observation, allowed)
+        own = build_terms(config.get("sensor"), "sensor", Sensor, allowed)
+        sensors = {term.name: term for term in (*stages.terms.sensors, *own)}
+        needed = _read_by(observations, list(sensors.values()))
+        terms = replace(
+            stages.terms,
+            sensors=needed,
+            observations=in_layout(observations, env.get("layout", ())),
+            terminations=(),
+            rewards=(),
+            metrics=(),
+        )
+        self.stages = Stages(terms, context)
+
+    def begin(self, maps: World) -> None:
+        """Begins episodes; what was observed before is forgotten."""
+        self.maps = maps
+        self.stages.to(next(iter(maps.values())).device)
+        self.last: World = {}
+        draws = self.stages.step_draws
+        self.generators = {name: generator_for(0, f"own/{name}") for name in draws}
+
+    def __call__(self, world: TensorDictBase) -> Float[Tensor, "n d"]:
+        """The observation of the next step."""
+        count, device = world.batch_size[0], next(iter(self.maps.values())).device
+        drawn = {
+            name: torch.rand(count, width, generator=self.generators[name]).to(device)
+            for name, width in self.stages.step_draws.items()
+        }
+        seen = {key: value for key, value in self.last.items() if key[0] == OWN}
+        there = {key: world[key] for key in self.stages.persistent if key[0] != OWN}
+        past = {key: self.last[key[1:]] for key in self.stages.memory} if self.last else {}
+        tensors = {**there, **seen, **past}
+        self.last, observation = self.stages.observe(tensors, self.maps, drawn, first=not self.last)
+        return observation
+
+
+def _read_by(observations: Sequence[Observation], sensors: Sequence[Sensor]) -> list[Sensor]:
+    """The sensors that the observations read, and those that these read."""
+    wanted = {key for term in observations for key in term.reads}
+    found = []
+    for sensor in reversed(sensors):
+        if wanted.intersection(sensor.outputs):
+            found.insert(0, sensor)
+            wanted.update(sensor.reads)
+    return found
