@@ -41,6 +41,17 @@ def test_example_reward_falls_with_the_difference_in_height():
     )
 
 
+def test_example_of_use_from_python_runs_as_it_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    example = next(block for block in blocks if "resc.make_env" in block)
+    assert len([line for line in example.splitlines() if line]) <= 5
+    namespace = {}
+    exec(example, namespace)
+    assert namespace["flown"].batch_size == (64, 100)
+    assert namespace["flown"]["next", "terminated"].any()
+
+
 @pytest.mark.parametrize("order", [*permutations(LEFT)], ids="-".join)
 def test_paths_of_shown_commands_are_there_whatever_was_run_in_between(order, tmp_path):
     for kind in order:

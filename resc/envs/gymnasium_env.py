@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 
-from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.quadrotor import QuadrotorEnv, require_untransformed
 from resc.errors import ConfigError
 
 
@@ -19,10 +19,11 @@ class QuadrotorGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     much as a step of a hundred.
 
     Args:
-        env: The environment behind it.
+        env: The environment behind it, such as `resc.make_env(num_envs=1)`.
     """
 
     def __init__(self, env: QuadrotorEnv) -> None:
+        require_untransformed(env)
         if env.num_envs != 1:
             raise ConfigError(
                 f"num_envs is {env.num_envs}; Gymnasium's interface is for num_envs=1."

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, TransformedEnv
 
 from resc import keys
 from resc.envs.calls import bad_action, blamed, require_action, require_rows
@@ -327,6 +327,15 @@ class QuadrotorEnv(EnvBase):
             },
             batch_size=self.batch_size,
             device=self.device,
+        )
+
+
+def require_untransformed(env: EnvBase) -> None:
+    """Raises CallError for TorchRL's transforms, which `advance` and `restart` would go round."""
+    if isinstance(env, TransformedEnv):
+        raise CallError(
+            f"The environment has the transform {type(env.transform).__name__}, which only "
+            "TorchRL's step and reset apply; give env.base_env, or use TorchRL's Collector."
         )
 
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from resc import keys
-from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.quadrotor import QuadrotorEnv, require_untransformed
 from resc.envs.stages import World
 from resc.errors import ConfigError, NumericalError
 from resc.flying.diagnosis import largest_reward, require_finite
@@ -116,6 +116,7 @@ class Ppo:
         renew_scenes: int = 0,
         curricula: Sequence[Curriculum] = (),
     ) -> None:
+        require_untransformed(env)
         self.env = env
         self.curricula = Curricula(curricula, env)
         self.networks = networks.to(env.device)
