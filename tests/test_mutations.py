@@ -123,7 +123,8 @@ def trash(tmp_path):
     return tmp_path
 
 
-FAST = {"num_envs=0"}
+FAST = {"num_envs=0", "trash.mcap", "empty.mcap"}
+"""One case of the training, whose processes take 7 s, and the logs without a picture."""
 CASES = [
     *(("train.py", (*SMALL, "hydra.run.dir=run", text), word) for text, word in TRAINING.items()),
     ("train.py", (*SMALL, "hydra.run.dir=/proc/nope"), "/proc/nope"),
@@ -137,7 +138,7 @@ CASES = [
     [
         pytest.param(
             *case,
-            marks=[] if case[1][-1] in FAST or case[0].startswith("resc") else pytest.mark.slow,
+            marks=[] if case[1][-1] in FAST else pytest.mark.slow,
             id=f"{Path(case[0]).stem}-{case[1][-1]}",
         )
         for case in CASES

@@ -40,6 +40,15 @@ def finished(compose, tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def other(compose, tmp_path_factory):
+    """The folder of a run of another seed."""
+    folder = tmp_path_factory.mktemp("runs") / "other"
+    folder.mkdir()
+    script.run(compose(*RUN, "seed=1"), folder, [])
+    return folder
+
+
 @pytest.fixture
 def own(finished, tmp_path):
     """A copy of a finished run."""
@@ -131,20 +140,14 @@ def test_full_recording_may_be_given_more_room(compose, finished):
 
 
 @pytest.mark.parametrize("name", ["checkpoint.pt", "config.yaml", "summary.json"])
-def test_file_of_another_run_is_refused(compose, own, tmp_path, name):
-    other = tmp_path / "other"
-    other.mkdir()
-    script.run(compose(*RUN, "seed=1"), other, [])
-    (other / name).replace(own / name)
+def test_file_of_another_run_is_refused(compose, own, other, name):
+    shutil.copy(other / name, own / name)
     with pytest.raises((ConfigError, CheckpointError), match="other settings than"):
         script.run(go_on(compose, own, "total_frames=512"), own, [])
 
 
-def test_policy_of_another_run_is_refused(compose, own, tmp_path):
-    other = tmp_path / "other"
-    other.mkdir()
-    script.run(compose(*RUN, "seed=1"), other, [])
-    (other / "policy.pt").replace(own / "policy.pt")
+def test_policy_of_another_run_is_refused(own, other):
+    shutil.copy(other / "policy.pt", own / "policy.pt")
     with pytest.raises(CheckpointError, match="other settings than"):
         load_policy(own)
 

@@ -1,4 +1,4 @@
-"""What test_compiled.py runs in a process of its own: `graph`, `difficulty` or `compare`.
+"""What test_compiled.py runs in a process of its own: `graph`, `difficulty`, `compare` or several.
 
 torch.compile cannot trace the wrappers of the tests' type checker, and an imported module cannot
 get rid of them.
@@ -79,4 +79,5 @@ def same(name, ours, theirs):
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    {"graph": graph, "difficulty": difficulty, "compare": compare}[sys.argv[1]]()
+    for what in sys.argv[1:]:
+        {"graph": graph, "difficulty": difficulty, "compare": compare}[what]()

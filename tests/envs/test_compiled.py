@@ -9,20 +9,20 @@ SCRIPT = Path(__file__).with_name("compiled_flight.py")
 ROOT = Path(__file__).parents[2]
 
 
-def run(what):
+def run(*what):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
-        [sys.executable, SCRIPT, what], env=environment, capture_output=True, text=True, timeout=600
+        [sys.executable, SCRIPT, *what],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr[-4000:]
 
 
-def test_the_step_is_one_graph():
-    run("graph")
-
-
-def test_another_difficulty_needs_no_other_graph():
-    run("difficulty")
+def test_the_step_is_one_graph_and_another_difficulty_needs_no_other():
+    run("graph", "difficulty")
 
 
 @pytest.mark.slow  # some 45 s for the compiler, once; 15 s from its cache

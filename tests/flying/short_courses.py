@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import hydra
 import pytest
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -86,12 +85,11 @@ def policy(policy_for: Callable[[DictConfig], Policy], stored: DictConfig) -> Po
 
 
 @pytest.fixture(scope="session")
-def evaluation(compose: Callable[..., DictConfig]) -> Callable[..., dict[str, Any]]:
+def evaluation(composer: Callable[..., DictConfig]) -> Callable[..., dict[str, Any]]:
     """`evaluation(*overrides)`: the configuration of conf/evaluate.yaml."""
-    del compose  # only for its open configuration folder
 
     def composed(*overrides: str) -> dict[str, Any]:
-        config = hydra.compose("evaluate", ["recorder=none", *overrides])
+        config = composer("evaluate", ("recorder=none", *overrides))
         return OmegaConf.to_container(config, resolve=True)
 
     return composed
