@@ -19,7 +19,7 @@ from resc.moved import today
 from resc.quantities import checked
 from resc.term import Curriculum, Term
 
-ALLOWED = ("resc.", "torch.optim.")
+ALLOWED = ("resc.",)
 """Prefixes of `_target_` that may be built; a user's own package is added by `allowed_targets`."""
 FUNCTIONS = ("resc.policies.networks.build_networks",)
 """Our only targets that are functions: others, `build` for one, would build what they are told."""

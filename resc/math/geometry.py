@@ -39,16 +39,6 @@ def pillar_distance(
     return torch.linalg.vector_norm(offset, dim=-1) - pillars[..., 2]
 
 
-def segment_distance(
-    points: Float[Tensor, "*n 2"], start: Float[Tensor, "*n 2"], end: Float[Tensor, "*n 2"]
-) -> Float[Tensor, "*n"]:
-    """Distance [m] from points to the segments start-end."""
-    along = end - start
-    share = ((points - start) * along).sum(-1) / (along.square().sum(-1) + EPSILON)
-    nearest = start + share.clamp(0, 1).unsqueeze(-1) * along
-    return torch.linalg.vector_norm(points - nearest, dim=-1)
-
-
 def in_view(
     offset_b: Float[Tensor, "n 3"], horizontal_rad: float, vertical_rad: float, blind_m: float
 ) -> Bool[Tensor, "n 1"]:

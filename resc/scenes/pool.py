@@ -1,7 +1,7 @@
 """The pool of scenes that environments are reset into."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -10,12 +10,12 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.keys import NestedKey
+from resc.keys import DECLARED, NestedKey
 from resc.maps.cells import extent_of, require_room, shape_of
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
 from resc.scenes.difficulty import eased
-from resc.scenes.layout import Layout, Plan, Scene, pad, rasterize, sampled
+from resc.scenes.layout import Layout, Plan, Scene, pad, rasterize, rows, sampled
 
 LAID_OUT = (
     keys.MAP_ORIGIN_W,
@@ -77,29 +77,30 @@ class ScenePool:
         self.generator = generator
         self.plan = plan
         self.head = 0
-        self.layout = self._lay_out(torch.arange(size))
-        require_room(size, self.layout.size, resolution_m, device)
-        self.shape = self._cells(self.layout)
-        esdf = self._transform(self.layout)
+        layout = self._lay_out(torch.arange(size))
+        require_room(size, layout.size, resolution_m, device)
+        self.shape = self._cells(layout)
+        # clone: a scene may share one row among all
+        kept = {key: value.clone().to(device) for key, value in _kept(layout).items()}
         self.shared: dict[NestedKey, Tensor] = {
-            keys.ESDF: esdf.to(device),
-            # clone: a scene may share one row among all
-            keys.MAP_ORIGIN_W: self.layout.origin_w.clone().to(device),
-            keys.MAP_SIZE: self.layout.size.clone().to(device),
-            keys.BOXES_W: self.layout.boxes_w.clone().to(device),
-            keys.PILLARS_W: self.layout.pillars_w.clone().to(device),
+            keys.ESDF: self._transform(layout).to(device),
+            **{key: value for key, value in kept.items() if DECLARED[key].shared},
         }
         self.tasks: dict[NestedKey, Tensor] = {
-            keys.START_W: self.layout.start_w.clone().to(device),
-            keys.START_MOTION: self.layout.start_motion.clone().to(device),
-            keys.ROUTE_W: self.layout.route_w.clone().to(device),
-            keys.ROUTE_LENGTH: self.layout.route_length.clone().to(device),
-            keys.ROUTE_CLEARANCE: _clearance(self.layout).clone().to(device),
+            **{key: value for key, value in kept.items() if not DECLARED[key].shared},
             keys.SCENE_DIFFICULTY: self._difficulty(torch.arange(size)).to(device),
         }
 
     def __len__(self) -> int:
-        return len(self.layout)
+        return len(self.tasks[keys.START_W])
+
+    @property
+    def layout(self) -> Layout:
+        """The scenes of now, on the CPU."""
+        values = {**self.shared, **self.tasks}
+        layout = layout_from({key[1]: values[key].cpu() for key in LAID_OUT})
+        said = layout.clearance.where(layout.clearance.isfinite(), torch.nan)
+        return replace(layout, clearance=said)
 
     def entry(
         self, unit: Float[Tensor, " k"], closed: int = 0, difficulty: float = 1.0
@@ -135,10 +136,10 @@ class ScenePool:
         self.head = (self.head + count) % len(self)
         room = self.tasks[keys.ROUTE_W].shape[1]
         fits = layout.route_length[:, 0] <= room
-        rows = {f.name: getattr(layout, f.name)[fits] for f in fields(Layout)}
-        rows["route_w"] = rows["route_w"][:, :room]
+        fitting = rows(layout, fits)
+        fitting = replace(fitting, route_w=fitting.route_w[:, :room])
         boxes, pillars = (self.shared[key].shape[1] for key in (keys.BOXES_W, keys.PILLARS_W))
-        self._write(entries[fits], pad(Layout(**rows), boxes, pillars, room))
+        self._write(entries[fits], pad(fitting, boxes, pillars, room))
         return entries[fits]
 
     def state(self) -> dict[str, Tensor | int]:
@@ -159,13 +160,11 @@ class ScenePool:
                 f"A renewed scene has {self._cells(layout)} rows and columns of cells, more than "
                 f"the {self.shape} of the first ones; give scenes one size, or set renew_scenes=0."
             )
-        rows = entries.to(self.shared[keys.ESDF].device)
-        fresh = {key: getattr(layout, key[1]) for key in LAID_OUT}
-        fresh[keys.ROUTE_CLEARANCE] = _clearance(layout)
-        fresh[keys.ESDF] = self._transform(layout)
+        there = entries.to(self.shared[keys.ESDF].device)
+        fresh = _kept(layout) | {keys.ESDF: self._transform(layout)}
         for key, value in fresh.items():
             where = self.shared if key in self.shared else self.tasks
-            where[key][rows] = value.to(rows.device)
+            where[key][there] = value.to(there.device)
 
     def _difficulty(self, entries: Int[Tensor, " k"]) -> Float[Tensor, "k 1"]:
         """The difficulty that each entry is laid out at: the levels by turns."""
@@ -213,9 +212,14 @@ def layout_from(arrays: Mapping[str, Any]) -> Layout:
     return Layout(**{key[1]: arrays[key[1]] for key in LAID_OUT if key[1] in arrays})
 
 
-def _clearance(layout: Layout) -> Float[Tensor, "p 1"]:
-    """What the routes keep [m]; infinite, which equals itself, where the layout does not say."""
-    return layout.clearance.where(~layout.clearance.isnan(), torch.inf)
+def _kept(layout: Layout) -> dict[NestedKey, Tensor]:
+    """A layout under the keys of the pool.
+
+    What the routes keep is infinite, which equals itself, where the layout does not say.
+    """
+    kept = {key: getattr(layout, key[1]) for key in LAID_OUT}
+    clearance = kept[keys.ROUTE_CLEARANCE]
+    return kept | {keys.ROUTE_CLEARANCE: clearance.where(~clearance.isnan(), torch.inf)}
 
 
 def _pick(entries: Int[Tensor, " o"], unit: Float[Tensor, " k"]) -> Int[Tensor, " k"]:

@@ -1,7 +1,7 @@
 import torch
 from torch.testing import assert_close
 
-from resc.math.geometry import box_distance, distance, norm, segment_distance
+from resc.math.geometry import box_distance, distance, norm
 
 BOX = torch.tensor([[[1.0, 1.0, 2.0, 4.0]]])  # x 1..3, y 1..5
 
@@ -28,17 +28,6 @@ def test_box_distance_takes_each_point_to_its_own_boxes():
         ]
     )
     assert_close(box_distance(points, boxes), torch.tensor([[1.0, 3.0], [1.0, 7.0]]))
-
-
-def test_segment_distance_along_and_beyond_the_ends():
-    start, end = torch.tensor([[0.0, 0.0]]).expand(4, 2), torch.tensor([[2.0, 0.0]]).expand(4, 2)
-    points = torch.tensor([[1.0, 0.5], [5.0, 4.0], [-3.0, -4.0], [0.5, 0.0]])
-    assert_close(segment_distance(points, start, end), torch.tensor([0.5, 5.0, 5.0, 0.0]))
-
-
-def test_segment_distance_to_a_point_sized_segment():
-    origin = torch.zeros(1, 2)
-    assert_close(segment_distance(torch.tensor([[3.0, 4.0]]), origin, origin), torch.tensor([5.0]))
 
 
 def test_norm_has_a_finite_gradient_at_zero():

@@ -1,3 +1,5 @@
+from dataclasses import fields
+
 import pytest
 import torch
 
@@ -7,7 +9,7 @@ from resc.errors import ConfigError
 from resc.maps.distance_transform import distance_transform
 from resc.math.sampling import generator_for
 from resc.scenes.layout import PARKED_M, Layout, rasterize
-from resc.scenes.pool import ScenePool
+from resc.scenes.pool import LAID_OUT, ScenePool
 from resc.setup import set_up
 
 
@@ -218,3 +220,16 @@ def test_levels_without_an_open_scene_are_refused(compose):
         layered(compose, size=2)
     with pytest.raises(ConfigError, match="leave 5 open: raise pool_size or lower renew_scenes"):
         layered(compose).entry(torch.zeros(1), closed=8)
+
+
+def test_the_layout_is_that_of_the_scenes_of_now(pool):
+    before = pool.layout.route_w.clone()
+    renewed = pool.renew(4)
+    after = pool.layout
+    assert not torch.equal(after.route_w[renewed], before[renewed])
+    assert torch.equal(after.route_w, pool.tasks[keys.ROUTE_W])
+    assert torch.equal(after.boxes_w, pool.shared[keys.BOXES_W])
+
+
+def test_the_pool_keeps_every_field_of_a_layout():
+    assert {key[1] for key in LAID_OUT} == {field.name for field in fields(Layout)}
