@@ -32,7 +32,7 @@ from torch import Tensor
 from benchmarks import recording_read
 from benchmarks.measure import ROOT, Job, load, machine, sentence, write_json
 from resc.learning.assemble import build_trainer
-from resc.learning.ppo import Ppo
+from resc.learning.trainer import Trainer
 from resc.learning.training import record_batch
 from resc.policies.stored import load_policy
 from resc.process import prepare_process
@@ -67,7 +67,7 @@ class Taken:
     starts: dict[str, Tensor]
 
 
-def recorder_of(trainer: Ppo, config: DictConfig, folder: Path) -> RolloutRecorder:
+def recorder_of(trainer: Trainer, config: DictConfig, folder: Path) -> RolloutRecorder:
     """The run's recorder, scenes and first episodes noted."""
     recorder = open_recorder(
         config,
@@ -77,32 +77,31 @@ def recorder_of(trainer: Ppo, config: DictConfig, folder: Path) -> RolloutRecord
         num_envs=trainer.env.num_envs,
     )
     assert recorder is not None
-    record_world(recorder, trainer.env.pool, trainer.iteration * trainer.settings.steps)
+    record_world(recorder, trainer.env.pool, trainer.collector.start_step)
     return recorder
 
 
 # The writer
 
 
-def fly(trainer: Ppo, batches: int, burn_in: int) -> list[Taken]:
+def fly(trainer: Trainer, batches: int, burn_in: int) -> list[Taken]:
     """Batches of the shipped policy, once episodes of all ages fly."""
     policy = load_policy(POLICY)
     policy.require_layout(trainer.env.stages)
-    trainer.networks.policy.load_state_dict(policy.head.state_dict())
-    trainer.keep_starts()
+    trainer.policy.load_state_dict(policy.policy.state_dict())
+    trainer.collector.keep_starts()
     taken = []
     for number in range(burn_in + batches):
-        trainer.collect()
-        trainer.iteration += 1
-        starts, ended = start_arrays(trainer.take_starts()), trainer.statistics.episodes()
+        trainer.collector.collect()
+        starts, ended = start_arrays(trainer.collector.take_starts()), trainer.statistics.episodes()
         if number >= burn_in:
             start_step = trainer.statistics.start_step
-            batch = with_flown(trainer.batch.clone())
+            batch = with_flown(trainer.collector.flown.clone())
             taken.append(Taken(start_step, batch, with_success(ended), starts))
     return taken
 
 
-def write(trainer: Ppo, config: DictConfig, taken: list[Taken]) -> tuple[float, float]:
+def write(trainer: Trainer, config: DictConfig, taken: list[Taken]) -> tuple[float, float]:
     """CPU seconds of the writer per 100,000 environment steps, and bytes per step."""
     with tempfile.TemporaryDirectory() as folder:
         recorder = recorder_of(trainer, config, Path(folder))
@@ -111,7 +110,7 @@ def write(trainer: Ppo, config: DictConfig, taken: list[Taken]) -> tuple[float, 
         clock = time.pthread_getcpuclockid(writer.ident)
         began = time.clock_gettime(clock)
         first = sum(file.stat().st_size for file in Path(folder).iterdir())
-        pool, renewed = trainer.env.pool, torch.arange(trainer.renew_scenes)
+        pool, renewed = trainer.env.pool, torch.arange(trainer.collector.renew_scenes)
         for number, batch in enumerate(taken):
             recorder.put(batch.batch, batch.start_step, batch.episodes, batch.starts)
             entries = (renewed + number * len(renewed)) % len(pool)
@@ -177,15 +176,15 @@ def run_job(args: argparse.Namespace) -> None:
         recorder.close()
 
 
-def block_rate(trainer: Ppo, recorder: RolloutRecorder | None, seconds: float) -> float:
+def block_rate(trainer: Trainer, recorder: RolloutRecorder | None, seconds: float) -> float:
     """Steps per second over a block, its last batch on the disk.
 
     A block is as long as the clock says, so that jobs told at once also end at once.
     """
-    trainer.take_starts()
-    trainer.keeps_starts = False
+    trainer.collector.take_starts()
+    trainer.collector.keeps_starts = False
     if recorder is not None:
-        trainer.keep_starts()
+        trainer.collector.keep_starts()
     began, steps, elapsed_s = time.perf_counter(), 0, -1.0
     while elapsed_s < seconds:
         trainer.iterate()

@@ -23,13 +23,13 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import trange
 
 from resc import schema
-from resc.build import build
 from resc.errors import RecordingError, RescError
 from resc.flying.replay import recorded_config
-from resc.learning.assemble import fly_held_out
+from resc.learning.assemble import build_algorithm, fly_held_out
 from resc.learning.offline import replay_buffer
 from resc.policies.stored import POLICY, save_policy
 from resc.process import prepare_process
@@ -82,15 +82,8 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
     flights = RolloutLog(args.recording).where(success=True, complete=True)
     flights = flights.take(range(min(args.episodes, len(flights))))
     stages = build_stages(config)
-    networks = build(
-        config["model"],
-        "model",
-        allowed=allowed,
-        observation_width=len(stages.observation_columns),
-        action_width=stages.terms.action.width,
-        seed=config["seed"],
-    )
-    networks.to(config["device"])
+    algorithm = build_algorithm(config, stages)
+    policy = algorithm.policy
     prepare_output(args.out)
     recorded = recorded_config(flights, allowed)
     sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
@@ -100,18 +93,20 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
             f"--batch is {args.batch:,}, more than the {len(buffer):,} transitions recorded; "
             "lower it, or record more flights."
         )
-    optimizer = torch.optim.Adam(networks.head.parameters(), lr=1e-3)
+    optimizer = torch.optim.Adam(policy.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
     for _ in (bar := trange(args.updates, unit="update")):
         batch = buffer.sample().to(config["device"])
-        action, _ = networks.policy(batch["observation"])
-        loss = (action - batch["action"]).square().mean()
+        flown = batch["action"]
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            action = policy(batch.select("observation"))["action"]
+        loss = (action - flown).square().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
         bar.set_postfix(loss=f"{loss.item():.4f}", refresh=False)
-    save_policy(args.out, networks, stages, config)
+    save_policy(args.out, algorithm.networks, stages, config)
     held_out = fly_held_out(config, args.out)
     print(
         f"{held_out.success_rate:.1%} of {len(held_out)} held-out episodes succeed after cloning "

@@ -1,7 +1,9 @@
 """Names that stored configurations use, and what they are today."""
 
 MOVED = {
-    "resc.learning.networks.": "resc.policies.networks.",
+    "resc.learning.networks.build_networks": "resc.policies.networks.Mlp",
+    "resc.policies.networks.build_networks": "resc.policies.networks.Mlp",
+    "resc.learning.ppo.PpoSettings": "resc.learning.ppo.Ppo",
     "resc.sweeps.Joblib": "resc.sweeps.launchers.Local",
     "resc.sweeps.Ray": "resc.sweeps.launchers.Ray",
     "resc.sweeps.Serial": "resc.sweeps.launchers.Local",

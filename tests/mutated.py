@@ -41,7 +41,7 @@ BOUNDS = {
     r"env\.(dt_s|resolution_m)": POSITIVE,
     r"launcher\..*": POSITIVE,
     r"model\.hidden": COUNT,
-    r"model\.initial_std": POSITIVE,
+    r"algorithm\.initial_std": POSITIVE,
     r".*\.(history|beams|side|rays_per_side)": COUNT,
     r"observation\..*\.(clip|range_m|truncation_m|spacing_m|longest_guide_m)": POSITIVE,
     r"observation\..*\.dropout": SHARE,

@@ -27,6 +27,9 @@ from resc.keys import (
     TRUNCATED,
 )
 from resc.planning.route import planner_for
+from resc.policies.heads import Gaussian
+from resc.policies.networks import Model
+from resc.policies.policy import Policy
 from resc.simulation.vehicle import Vehicle
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -279,16 +282,18 @@ def test_a_search_lays_finite_control_points(compose, name):
 
 @pytest.mark.parametrize("name", names("model"))
 def test_a_model_gives_finite_actions_to_any_number_of_environments(load_part, name):
-    node = load_part("model", name)
-    networks, same = (
-        build(node, "model", observation_width=25, action_width=4, seed=3) for _ in range(2)
-    )
+    model = build(load_part("model", name), "model", kind=Model)
+    torch.manual_seed(3)
+    policy = Policy(model, Gaussian(4), 25)
     observation = torch.rand(COUNT, 25, generator=torch.Generator().manual_seed(0))
-    among, again = (n.head(observation)[0] for n in (networks, same))
+    among, state = policy.decide(observation)
     assert among.shape == (COUNT, 4)
     assert among.isfinite().all()
-    assert torch.equal(among, again)
-    assert_close(networks.head(observation[2:3])[0], among[2:3])
+    assert torch.equal(among, policy.decide(observation)[0])
+    assert_close(policy.decide(observation[2:3])[0], among[2:3])
+    assert (state is None) == (model.state_width == 0)
+    if state is not None:  # what is remembered matters
+        assert not torch.equal(policy.decide(observation, state)[0], among)
 
 
 @pytest.mark.parametrize("name", names("logger"))

@@ -93,7 +93,7 @@ CASES = {
     "randomization.action_delay.longest_steps": [-1, 9],
     "metric.time_within_half_metre.radius_m": [0],
     "model.hidden": [[0], [100000, 100000], 3],
-    "model.initial_std": [0],
+    "algorithm.initial_std": [0],
     "model.activation": [5],
     "algorithm.steps": [0, 900000000],
     "algorithm.minibatch": [0, 1],

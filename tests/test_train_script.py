@@ -259,19 +259,19 @@ def test_failing_held_out_flights_leave_the_policy_and_say_how_to_fly_them(
 
 def test_parts_of_a_package_of_ones_own_fly_to_the_end(compose, tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text(
-        "from dataclasses import dataclass\n"
-        "from resc.policies.networks import build_networks as networks\n"
-        "from resc.learning.ppo import PpoSettings\n"
+        "from resc.policies.networks import Mlp\n"
+        "from resc.learning.ppo import Ppo\n"
         "from resc.learning.progress import CsvLogger\n"
         "from resc.recording.writer import RolloutRecorder\n"
-        "class Settings(PpoSettings):\n    pass\n"
+        "class Network(Mlp):\n    pass\n"
+        "class Learner(Ppo):\n    def __init__(self, **options): super().__init__(**options)\n"
         "class Logger(CsvLogger):\n    pass\n"
         "class Recorder(RolloutRecorder):\n    pass\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     own = {
-        "model": "networks",
-        "algorithm": "Settings",
+        "model": "Network",
+        "algorithm": "Learner",
         "logger": "Logger",
         "recorder": "Recorder",
     }
@@ -281,7 +281,7 @@ def test_parts_of_a_package_of_ones_own_fly_to_the_end(compose, tmp_path, monkey
     script.run(config, tmp_path / "run", [])
     assert is_finished(tmp_path / "run")
     assert len(RolloutLog(tmp_path / "run" / "rollouts")) > 0
-    with pytest.raises(ConfigError, match=r"model._target_ is 'mine.networks', outside"):
+    with pytest.raises(ConfigError, match=r"model._target_ is 'mine.Network', outside"):
         load_policy(tmp_path / "run")
     assert load_policy(tmp_path / "run", allowed=["mine."]).layout
 

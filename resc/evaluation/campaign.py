@@ -30,7 +30,7 @@ from resc.evaluation.table import summary
 from resc.evaluation.together import write_together
 from resc.flying.pilot import Pilot, PolicyPilot
 from resc.planning.route import planner_for
-from resc.policies.stored import Policy
+from resc.policies.stored import StoredPolicy
 from resc.run_folder import POLICY, finish_run, provenance
 from resc.setup import build_stages
 
@@ -42,7 +42,7 @@ Settings = Mapping[str, Any]
 
 def evaluate(
     config: Settings,
-    policy: Policy,
+    policy: StoredPolicy,
     scenes: Mapping[str, Settings],
     folder: Path,
     overrides: Sequence[str] = (),

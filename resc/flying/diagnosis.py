@@ -1,6 +1,6 @@
 """Which term, environment and step a number that is not finite comes from."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple, cast
 
 import torch
@@ -18,9 +18,6 @@ COMPUTE = "look for a division by zero, a root or logarithm of a number below ze
 DYNAMICS = "look at dynamics and the randomised parameters, or lower env.dt_s"
 POLICY = "lower algorithm.learning_rate, or resume from an earlier checkpoint"
 
-Seen = tuple[int, Tensor, Tensor]
-"""A step of the batch, rows [k], and what these observed after it [k, width]."""
-
 
 class _Fault(NamedTuple):
     """One number that is not finite: the steps of the batch before it, and where it stands."""
@@ -32,14 +29,11 @@ class _Fault(NamedTuple):
     advice: str
 
 
-def require_finite(
-    batch: TensorDict, terminal: Sequence[Seen], env: QuadrotorEnv, statistics: EpisodeStatistics
-) -> None:
+def require_finite(batch: TensorDict, env: QuadrotorEnv, statistics: EpisodeStatistics) -> None:
     """Nothing, where all of a batch [t, n] is finite: one sum tells.
 
     Args:
         batch: The steps flown.
-        terminal: The last observations of the episodes that ended in it.
         env: What gave the numbers.
         statistics: Of the episodes of the batch, flown as far as the batch.
 
@@ -47,12 +41,11 @@ def require_finite(
         NumericalError: Names the term, the environment and the step of the first number that is
             not.
     """
-    parts = [cast(Tensor, batch[name]).sum() for name in ("observation", "reward", "action")]
-    seen = [*terminal, (len(batch) - 1, torch.arange(env.num_envs), env.observation)]
-    parts.append(torch.cat([observation for _, _, observation in seen]).sum())
-    if torch.stack(parts).isfinite().all():
+    parts = (batch["observation"], batch["next", "observation"], batch["next", "reward"])
+    sums = [cast(Tensor, part).sum() for part in (*parts, batch["action"])]
+    if torch.stack(sums).isfinite().all():
         return
-    faults = list(_faults(batch, seen, env.stages))
+    faults = list(_faults(batch, env.stages))
     if not faults:  # finite numbers whose sum is not
         return
     first = min(faults, key=lambda fault: fault.steps)
@@ -71,7 +64,7 @@ def largest_reward(batch: TensorDict, stages: Stages) -> str:
     return f"{stages.terms.rewards[number].path} of up to {float(greatest[number]):.3g} a step"
 
 
-def _faults(batch: TensorDict, seen: Sequence[Seen], stages: Stages) -> Iterator[_Fault]:
+def _faults(batch: TensorDict, stages: Stages) -> Iterator[_Fault]:
     """The first number of every quantity that is not finite; causes before effects."""
     names = stages.observation_columns
     for key in STATE:
@@ -79,11 +72,9 @@ def _faults(batch: TensorDict, seen: Sequence[Seen], stages: Stages) -> Iterator
             yield _Fault(t, row, ".".join(key), value, DYNAMICS)
     for t, row, column, value in _first(cast(Tensor, batch["reward_terms"])):
         yield _Fault(t + 1, row, stages.terms.rewards[column].path, value, COMPUTE)
-    for t, row, column, value in _first(cast(Tensor, batch["observation"])):
-        yield _Fault(t, row, f"observation.{names[column]}", value, COMPUTE)
-    for t, rows, observation in seen:
-        for _, number, column, value in _first(observation.unsqueeze(0)):
-            yield _Fault(t + 1, int(rows[number]), f"observation.{names[column]}", value, COMPUTE)
+    for key, later in (("observation", 0), (("next", "observation"), 1)):
+        for t, row, column, value in _first(cast(Tensor, batch[key])):
+            yield _Fault(t + later, row, f"observation.{names[column]}", value, COMPUTE)
     for t, row, column, value in _first(cast(Tensor, batch["action"])):
         yield _Fault(t, row, f"The policy's action {column}", value, POLICY)
 

@@ -13,7 +13,7 @@ from resc.build import build
 from resc.envs.stages import Stages, World
 from resc.errors import ConfigError
 from resc.flying.own_observation import OwnObservation
-from resc.policies.stored import Policy, load_policy, policy_folder
+from resc.policies.stored import StoredPolicy, load_policy, policy_folder
 from resc.recording.rollouts import digest
 from resc.schema import folder_name
 
@@ -83,25 +83,32 @@ class PolicyPilot(Pilot):
         policy: It and the configuration it was trained with.
     """
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: StoredPolicy) -> None:
         self.policy = policy
+        self.state: Tensor | None = None
         self.name = "policy"
 
     def check(self, stages: Stages) -> None:
         """Raises CheckpointError if the environment shows another observation."""
         self.policy.require_layout(stages)
 
+    def begin(self, flights: int, stages: Stages, maps: World) -> None:
+        """Forgets what it remembered of earlier flights."""
+        del flights, stages, maps
+        self.state = None
+
     def act(self, world: TensorDictBase, observation: Float[Tensor, "n d"]) -> Float[Tensor, "n a"]:
-        """The mean action."""
+        """The most likely action."""
         del world
-        return self.policy(observation)
+        action, self.state = self.policy.policy.decide(observation, self.state)
+        return action
 
     def facts(self) -> Mapping[str, str]:
         """The digest of its weights."""
-        return {"policy_sha256": digest(self.policy.head)}
+        return {"policy_sha256": digest(self.policy.policy)}
 
 
-class StoredPolicy(PolicyPilot):
+class FolderPilot(PolicyPilot):
     """The policy in a folder.
 
     Args:

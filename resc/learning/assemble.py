@@ -14,8 +14,10 @@ from resc.errors import ConfigError
 from resc.flying.flights import Flights, fly_recorded, require_time_limit
 from resc.flying.held_out import held_out_rules, tabulate_episodes, write_episodes
 from resc.flying.pilot import PolicyPilot
+from resc.learning.algorithm import Algorithm, LearningContext
 from resc.learning.checkpoint import load_checkpoint
-from resc.learning.ppo import Ppo
+from resc.learning.trainer import Trainer
+from resc.policies.networks import Model
 from resc.policies.stored import load_policy, load_weights, policy_folder, require_same_layout
 from resc.run_folder import (
     CHECKPOINT,
@@ -39,8 +41,8 @@ CLOSED_BATCHES = 4
 """Batches without new episodes before a scene is renewed; longer than nearly every episode."""
 
 
-def build_trainer(config: DictConfig) -> Ppo:
-    """The environment, the networks and PPO of a configuration, at the start.
+def build_trainer(config: DictConfig) -> Trainer:
+    """The environment and the algorithm of a configuration, at the start.
 
     Raises:
         ConfigError: A name, a number or a combination is wrong.
@@ -66,26 +68,31 @@ def build_trainer(config: DictConfig) -> Ppo:
         seed=config["seed"],
         closed=CLOSED_BATCHES * renewed,
     )
-    networks = build(
-        config["model"],
-        "model",
-        allowed=config["allowed_targets"],
-        observation_width=env.observation_width,
-        action_width=env.stages.terms.action.width,
-        seed=config["seed"],
-    )
-    trainer = Ppo(
-        env,
-        networks,
-        build(config["algorithm"], "algorithm", allowed=config["allowed_targets"]),
-        total_frames=config["total_frames"],
-        seed=config["seed"],
-        compile=config["compile"],
-        renew_scenes=renewed,
-        curricula=curricula,
-    )
+    algorithm = build_algorithm(config, env.stages)
+    trainer = Trainer(env, algorithm, renew_scenes=renewed, curricula=curricula)
     trainer.made_with = fingerprint(config)
     return trainer
+
+
+def build_algorithm(config: Mapping[str, Any], stages: Stages) -> Algorithm:
+    """The algorithm of a configuration with its networks, at the start.
+
+    Raises:
+        ConfigError: A name or a number of `algorithm` or `model` is wrong.
+    """
+    allowed = config["allowed_targets"]
+    context = LearningContext(
+        model=build(config["model"], "model", allowed=allowed, kind=Model),
+        observation_width=len(stages.observation_columns),
+        action_width=stages.terms.action.width,
+        num_envs=config["num_envs"],
+        total_frames=config["total_frames"],
+        seed=config["seed"],
+        device=config["device"],
+        compile=config["compile"],
+    )
+    node = config["algorithm"]
+    return build(node, "algorithm", allowed=allowed, kind=Algorithm, context=context)
 
 
 def resumed(config: DictConfig, overrides: Sequence[str], folder: Path) -> DictConfig:
@@ -150,7 +157,7 @@ def first_weights(text: str, folder: Path) -> Path:
     return policy_folder(text, "init_from").resolve()
 
 
-def restore(trainer: Ppo, config: Mapping[str, Any], folder: Path) -> None:
+def restore(trainer: Trainer, config: Mapping[str, Any], folder: Path) -> None:
     """Loads what training begins with, if anything.
 
     A resumed run's checkpoint (without one yet, it begins again), else the weights of `init_from`.
@@ -161,7 +168,10 @@ def restore(trainer: Ppo, config: Mapping[str, Any], folder: Path) -> None:
     if config["resume"]:
         print(f"{folder} holds no checkpoint yet: the run begins again.", flush=True)
     if config["init_from"]:
-        load_weights(Path(config["init_from"]), trainer.networks, trainer.env.stages)
+        networks = trainer.algorithm.networks
+        afresh = load_weights(Path(config["init_from"]), networks, trainer.env.stages)
+        if afresh:
+            print(f"Not in {config['init_from']}, begun afresh: {', '.join(afresh)}", flush=True)
 
 
 def build_held_out(config: Mapping[str, Any], episodes: int) -> tuple[QuadrotorEnv, dict[str, Any]]:

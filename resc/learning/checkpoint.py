@@ -8,36 +8,22 @@ from tensordict import TensorDict
 
 from resc.envs.quadrotor import layout_of
 from resc.errors import CheckpointError
-from resc.learning.ppo import Ppo
+from resc.learning.trainer import Trainer
 from resc.policies.stored import fitting, read, require_same_run, write_atomically
+from resc.run_folder import EXPERIENCE
 
-NEEDED = (
-    "actor",
-    "critic",
-    "optimizer",
-    "world",
-    "observation",
-    "pool",
-    "layout",
-    "curricula",
-)
+NEEDED = ("algorithm", "collector", "world", "observation", "pool", "layout", "curricula")
 """Without these a file is no checkpoint."""
 
 
-def save_checkpoint(path: Path, trainer: Ppo) -> None:
+def save_checkpoint(path: Path, trainer: Trainer) -> None:
     """Everything that training needs to go on as if it had not stopped."""
     env = trainer.env
+    trainer.algorithm.save_experience(path.parent / EXPERIENCE)
     content = {
-        "actor": trainer.networks.actor.state_dict(),
-        "critic": trainer.networks.critic.state_dict(),
-        "normalization": trainer.networks.normalization.state_dict(),
-        "optimizer": trainer.optimizer.state_dict(),
-        "frames": trainer.frames,
+        "algorithm": trainer.algorithm.state_dict(),
+        "collector": trainer.collector.state(),
         "trained_s": trainer.trained_s,
-        "iteration": trainer.iteration,
-        "noise": trainer.noise.get_state(),
-        "order": trainer.order.get_state(),
-        "statistics": trainer.statistics.state(),
         "world": {"/".join(key): value for key, value in env.world.items(True, True)},
         "observation": env.observation,
         "generators": env.generator_states(),
@@ -49,7 +35,7 @@ def save_checkpoint(path: Path, trainer: Ppo) -> None:
     write_atomically(path, content)
 
 
-def load_checkpoint(path: Path, trainer: Ppo) -> None:
+def load_checkpoint(path: Path, trainer: Trainer) -> None:
     """Puts a checkpoint's state into a trainer built from the same configuration.
 
     Raises:
@@ -71,19 +57,14 @@ def load_checkpoint(path: Path, trainer: Ppo) -> None:
     require_same_run(content, trainer.made_with, path)
     with fitting(path):
         _take(content, trainer)
+    trainer.algorithm.load_experience(path.parent / EXPERIENCE)
 
 
-def _take(content: Mapping[str, Any], trainer: Ppo) -> None:
+def _take(content: Mapping[str, Any], trainer: Trainer) -> None:
     env = trainer.env
-    trainer.networks.actor.load_state_dict(content["actor"])
-    trainer.networks.critic.load_state_dict(content["critic"])
-    trainer.networks.normalization.load_state_dict(content.get("normalization", {}))
-    trainer.optimizer.load_state_dict(content["optimizer"])
-    trainer.frames, trainer.iteration = content["frames"], content["iteration"]
-    trainer.trained_s = content.get("trained_s", 0.0)  # older ones do not say
-    trainer.noise.set_state(content["noise"].cpu())
-    trainer.order.set_state(content["order"].cpu())
-    trainer.statistics.load_state(content["statistics"])
+    trainer.algorithm.load_state_dict(content["algorithm"])
+    trainer.collector.load_state(content["collector"])
+    trainer.trained_s = content["trained_s"]
     env.pool.load_state(content["pool"])
     trainer.curricula.load_state(content["curricula"])
     world = {tuple(name.split("/")): value for name, value in content["world"].items()}

@@ -1,43 +1,40 @@
-"""Proximal policy optimisation on `QuadrotorEnv`, top to bottom: collect, estimate, update.
+"""Proximal policy optimisation, top to bottom: explore, estimate, update.
 
-A plain loop with TorchRL's advantage function. TorchRL's collector costs milliseconds per
-batched step whatever the environment does, so the rollout calls `advance` and `restart` directly;
-acting and updating are compiled.
+Acting and the update of a policy without memory are compiled functions of tensors: TorchRL's
+modules and losses give the same numbers (tested) and cost milliseconds a minibatch more.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Literal, cast
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, cast
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
+from torchrl.modules import set_recurrent_mode
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
-from resc import keys
-from resc.envs.quadrotor import QuadrotorEnv, require_untransformed
-from resc.envs.stages import World
 from resc.errors import ConfigError, NumericalError
-from resc.flying.diagnosis import largest_reward, require_finite
-from resc.flying.episodes import RENEWED, EpisodeStatistics
-from resc.learning.curriculum import Curricula
+from resc.learning.algorithm import Algorithm, LearningContext
 from resc.math.sampling import generator_for
-from resc.policies.networks import Networks, RunningNormalization
-from resc.process import require_memory
+from resc.policies.heads import Gaussian
+from resc.policies.networks import IS_INIT, NORMALIZED, STATE, RunningNormalization
+from resc.policies.policy import OBSERVATION, OBSERVATION_CRITIC
 from resc.quantities import Count, NotNegative, Number, Positive, Share, Within
-from resc.term import Curriculum
 
-RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
-"""State before each step that a rollout keeps, beside what the update needs."""
 HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
+Figures = tuple[Tensor, ...]
+"""A total to minimise; then policy and value loss, entropy, divergence, share clipped."""
 
 
-@dataclass(frozen=True)
-class PpoSettings:
-    """Hyper-parameters of PPO (`conf/algorithm/`).
+class Ppo(Algorithm):
+    """PPO with a clipped ratio and generalised advantages (Schulman et al. 2017).
+
+    A policy that remembers learns from whole sequences: a minibatch is then some environments over
+    all steps of the batch.
 
     Args:
+        context: The run.
         steps: Control steps per environment and batch.
         minibatch: Samples per gradient step.
         epochs: Passes over a batch.
@@ -51,30 +48,281 @@ class PpoSettings:
         max_grad_norm: Clip of the gradient's norm.
         reward_scale: Factor on rewards before the value function sees them, so that its targets are
             of order one.
+        initial_std: Standard deviation of the actions at the start, in action units.
         target_kl: Skips the rest of a batch's epochs once the policy has moved this far; null never
             does.
         schedule: Of the learning rate between the two: linear, or geometric (by the same factor
             after every batch).
     """
 
-    steps: Annotated[int, Within(1)]
-    minibatch: Annotated[int, Within(2, 1e9)]
-    epochs: Count
-    learning_rate: Positive
-    final_learning_rate: NotNegative
-    gamma: Share
-    gae_lambda: Share
-    clip_epsilon: Positive
-    entropy_coefficient: Number
-    value_coefficient: Positive
-    max_grad_norm: Positive
-    reward_scale: Positive
-    target_kl: Positive | None = None
-    schedule: Literal["linear", "geometric"] = "linear"
+    def __init__(
+        self,
+        *,
+        context: LearningContext,
+        steps: Annotated[int, Within(1)],
+        minibatch: Annotated[int, Within(2, 1e9)],
+        epochs: Count,
+        learning_rate: Positive,
+        final_learning_rate: NotNegative,
+        gamma: Share,
+        gae_lambda: Share,
+        clip_epsilon: Positive,
+        entropy_coefficient: Number,
+        value_coefficient: Positive,
+        max_grad_norm: Positive,
+        reward_scale: Positive,
+        initial_std: Positive = 0.6,
+        target_kl: Positive | None = None,
+        schedule: Literal["linear", "geometric"] = "linear",
+    ) -> None:
+        super().__init__(steps=steps, context=context)
+        self.minibatch, self.epochs = minibatch, epochs
+        self.learning_rate, self.final_learning_rate = learning_rate, final_learning_rate
+        self.gamma, self.gae_lambda, self.clip_epsilon = gamma, gae_lambda, clip_epsilon
+        self.entropy_coefficient, self.value_coefficient = entropy_coefficient, value_coefficient
+        self.max_grad_norm, self.reward_scale = max_grad_norm, reward_scale
+        self.target_kl, self.schedule = target_kl, schedule
+        self._check()
+        self.networks = self._make_networks(initial_std).to(context.device)
+        self._weights = [p for p in self.parameters if p.requires_grad]
+        self.optimizer = torch.optim.Adam(self._weights, lr=learning_rate, eps=1e-5, fused=True)
+        self.noise = generator_for(context.seed, "exploration", context.device)
+        self.order = generator_for(context.seed, "minibatches")
+        self._act: Callable[..., Figures] = self._act_eagerly
+        self._losses: Callable[[Any], Figures] = self._losses_of_samples
+        if self.remembers:
+            self._losses = self._losses_of_sequences
+        elif context.compile:
+            self._act = torch.compile(self._act_eagerly, fullgraph=True, dynamic=False)
+            self._losses = torch.compile(self._losses_of_samples, dynamic=False)
 
-    def __post_init__(self) -> None:
-        if min(self.steps, self.minibatch - 1, self.epochs) < 1:
-            raise ConfigError("steps and epochs must be at least 1, minibatch at least 2.")
+    @property
+    def remembers(self) -> bool:
+        """Whether the policy keeps a state from step to step."""
+        return self.context.model.state_width > 0
+
+    @property
+    def parameters(self) -> list[nn.Parameter]:
+        """All weights; the spread of the actions first, in which order norms are summed."""
+        spread = list(self.policy.head.parameters())
+        return [*spread, *(p for p in self.networks.parameters() if p is not spread[0])]
+
+    def explore(self, seen: TensorDict) -> TensorDict:
+        """A draw from the policy: `action`, `action_log_prob` and `state_value`."""
+        observation = cast(Tensor, seen[OBSERVATION])
+        shape = len(observation), self.context.action_width
+        noise = torch.randn(shape, generator=self.noise, device=observation.device)
+        extra = [cast(Tensor, seen[OBSERVATION_CRITIC])] if self.context.critic_width else []
+        chosen = TensorDict({}, seen.batch_size, device=seen.device)
+        if self.remembers:
+            moments = self.policy[:-1](seen.clone(False))
+            chosen["next", STATE] = moments["next", STATE]
+            value = self._valued(cast(Tensor, moments[NORMALIZED]), *extra)
+            drawn = *_drawn(moments["loc"], moments["scale"], noise), value
+        else:
+            drawn = self._act(observation, noise, *extra)
+        names = ("action", "action_log_prob", "state_value")
+        return chosen.update(dict(zip(names, drawn, strict=True)))
+
+    def update(self, batch: TensorDict) -> dict[str, float]:
+        """`epochs` passes of clipped policy and value gradient steps over the batch."""
+        rate = self._learning_rate()
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        with torch.no_grad():
+            batch = batch.copy().update(self.estimate_advantages(batch))
+            samples = self._sequences(batch) if self.remembers else self._samples(batch)
+        size = self.minibatch // self.steps if self.remembers else self.minibatch
+        whole = len(samples) // size * size
+        sums = torch.zeros(5, device=batch.device)
+        count = 0
+        for _ in range(self.epochs):
+            order = torch.randperm(len(samples), generator=self.order).to(sums.device)
+            for minibatch in samples[order[:whole]].split(size):
+                sums += self._gradient_step(minibatch)
+                count += 1
+            if self.target_kl and float(sums[3] / count) > self.target_kl:
+                break
+        policy, value, entropy, kl, clipped = (sums / count).tolist()
+        if not policy + value < float("inf"):
+            raise NumericalError("The loss is not finite")
+        self._learn_normalization(batch)
+        return {
+            "loss/policy": policy,
+            "loss/value": value,
+            "policy/entropy": entropy,
+            "policy/kl": kl,
+            "policy/clipped": clipped,
+            "policy/std": float(cast(Gaussian, self.policy.head).log_std.detach().exp().mean()),
+            "optimizer/learning_rate": rate,
+        }
+
+    @torch.no_grad()
+    def estimate_advantages(self, batch: TensorDict) -> dict[str, Tensor]:
+        """Generalised advantages and value targets [t, n, 1].
+
+        Truncated episodes bootstrap from their last observation.
+        """
+        following, value = cast(TensorDict, batch["next"]), cast(Tensor, batch["state_value"])
+        next_value = torch.cat((value[1:], self._value_of(following[-1:])))
+        for t, done in enumerate(following["done"][..., 0]):
+            if done.any():
+                next_value[t, done] = self._value_of(cast(TensorDict, following[t, done]))
+        advantage, target = generalized_advantage_estimate(
+            self.gamma,
+            self.gae_lambda,
+            value,
+            next_value,
+            following["reward"] * self.reward_scale,
+            done=following["done"],
+            terminated=following["terminated"],
+            time_dim=0,
+        )
+        return {"advantage": advantage, "value_target": target}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, optimiser and the states of both generators."""
+        own = {"optimizer": self.optimizer.state_dict()}
+        drawn = {"noise": self.noise.get_state(), "order": self.order.get_state()}
+        return super().state_dict() | own | drawn
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Takes what `state_dict` gave."""
+        super().load_state_dict(state)
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.noise.set_state(state["noise"].cpu())
+        self.order.set_state(state["order"].cpu())
+
+    def _make_networks(self, initial_std: float) -> nn.ModuleDict:
+        context = self.context
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(context.seed)
+            policy = self._make_policy(Gaussian(context.action_width, initial_std))
+            value = context.model.value(context.observation_width + context.critic_width)
+        networks: dict[str, nn.Module] = {"policy": policy, "value": value}
+        if context.critic_width:
+            networks["critic_normalization"] = context.model.normalizer(context.critic_width)
+        return nn.ModuleDict(networks)
+
+    def _valued(self, normal: Tensor, extra: Tensor | None = None) -> Tensor:
+        """The value [*n, 1] of normalised observations and of what the critic alone sees."""
+        if extra is not None:
+            normal = torch.cat((normal, self.networks["critic_normalization"](extra)), -1)
+        return self.networks["value"](normal)
+
+    def _value_of(self, seen: TensorDict) -> Tensor:
+        normal = self.policy.normalization(seen[OBSERVATION])
+        return self._valued(normal, seen.get(OBSERVATION_CRITIC, None))
+
+    def _act_eagerly(
+        self, observation: Tensor, noise: Tensor, extra: Tensor | None = None
+    ) -> Figures:
+        """Action, its log probability [n] and the value [n, 1]."""
+        normal = self.policy.normalization(observation)
+        mean, std = self.policy.head(self.policy.network(normal))
+        action, log_prob = _drawn(mean, std, noise)
+        return action, log_prob, self._valued(normal, extra)
+
+    def _samples(self, batch: TensorDict) -> Tensor:
+        """What the losses need of the batch, side by side so that one gather shuffles it.
+
+        [samples, columns]: observations as the networks take them, action, its log-probability,
+        advantage, value target.
+        """
+        columns = [self.policy.normalization(batch[OBSERVATION])]
+        if self.context.critic_width:
+            columns += [self.networks["critic_normalization"](batch[OBSERVATION_CRITIC])]
+        columns += [batch["action"], batch["action_log_prob"].unsqueeze(-1)]
+        columns += [batch["advantage"], batch["value_target"]]
+        return torch.cat(columns, -1).flatten(0, 1)
+
+    def _sequences(self, batch: TensorDict) -> TensorDict:
+        """The batch by environments, [n, steps]: each begins with the memory that flew it."""
+        names = [OBSERVATION, OBSERVATION_CRITIC, STATE, IS_INIT, "action", "action_log_prob"]
+        names += ["advantage", "value_target"]
+        return batch.select(*names, strict=False).transpose(0, 1).contiguous()
+
+    def _gradient_step(self, minibatch: Tensor | TensorDict) -> Tensor:
+        loss, *figures = self._losses(minibatch)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self._weights, self.max_grad_norm, foreach=True)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        return torch.stack([figure.detach() for figure in figures])
+
+    def _losses_of_samples(self, samples: Tensor) -> Figures:
+        """Of `_samples`."""
+        context = self.context
+        seen, actions = context.observation_width, context.action_width
+        widths = (seen + context.critic_width, actions, 1, 1, 1)
+        observation, action, before, advantage, target = samples.split(widths, -1)
+        mean, std = self.policy.head(self.policy.network(observation[:, :seen]))
+        value = self.networks["value"](observation)
+        return self._losses_from(mean, std, value, action, before, advantage, target)
+
+    def _losses_of_sequences(self, sequences: TensorDict) -> Figures:
+        """Of some of `_sequences`; gradients go back through all their steps."""
+        with set_recurrent_mode(True):
+            moments = self.policy[:-1](sequences.copy())
+        extra = sequences.get(OBSERVATION_CRITIC, None)
+        value = self._valued(cast(Tensor, moments[NORMALIZED]), extra)
+        given = (moments["loc"], moments["scale"], value, sequences["action"])
+        before = sequences["action_log_prob"].unsqueeze(-1)
+        learned = before, sequences["advantage"], sequences["value_target"]
+        return self._losses_from(*(part.flatten(0, 1) for part in (*given, *learned)))
+
+    def _losses_from(
+        self,
+        mean: Tensor,
+        std: Tensor,
+        value: Tensor,
+        action: Tensor,
+        before: Tensor,
+        advantage: Tensor,
+        target: Tensor,
+    ) -> Figures:
+        """The sum to minimise; then policy and value loss, entropy, divergence, share clipped.
+
+        What TorchRL's `ClipPPOLoss` computes (Schulman et al. 2017, eq. 7 and 9; advantages
+        normalised).
+        """
+        log_std = std.log()
+        now = -(0.5 * ((action - mean) / std).square() + log_std + HALF_LOG_2_PI)
+        change = now.sum(-1, keepdim=True) - before
+        clip = math.log1p(-self.clip_epsilon), math.log1p(self.clip_epsilon)
+        clipped = change.clamp(*clip)
+        advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=1e-6)
+        gain = torch.minimum(change.exp() * advantage, clipped.exp() * advantage)
+        policy = -gain.mean()
+        error = value - target
+        value_loss = self.value_coefficient * error.square().mean()
+        entropy = (log_std + HALF_LOG_2_PI + 0.5).sum(-1).mean()
+        total = policy + value_loss - self.entropy_coefficient * entropy
+        share = (clipped != change).float().mean()
+        return total, policy, value_loss, entropy, -change.mean(), share
+
+    def _learn_normalization(self, batch: TensorDict) -> None:
+        """Adds the batch to running statistics; only now, so that collecting and updating agree.
+
+        Were they renewed before the update, the probability ratio would not begin at one.
+        """
+        seen = {OBSERVATION: self.policy.normalization}
+        if self.context.critic_width:
+            seen[OBSERVATION_CRITIC] = self.networks["critic_normalization"]
+        for name, normalization in seen.items():
+            if isinstance(normalization, RunningNormalization):
+                normalization.update(batch[name])
+
+    def _learning_rate(self) -> float:
+        first, last = self.learning_rate, self.final_learning_rate
+        if self.schedule == "geometric":
+            return first * (last / first) ** self.share_trained
+        return first + self.share_trained * (last - first)
+
+    def _check(self) -> None:
+        """Refuses numbers that no run can have."""
+        if min(self.minibatch - 1, self.epochs) < 1:
+            raise ConfigError("epochs must be at least 1, minibatch at least 2.")
         if self.schedule == "geometric" and self.final_learning_rate <= 0:
             raise ConfigError(
                 f"final_learning_rate is {self.final_learning_rate}; a geometric schedule needs "
@@ -88,311 +336,20 @@ class PpoSettings:
             )
         if min(self.learning_rate, self.reward_scale, self.max_grad_norm) <= 0:
             raise ConfigError("learning_rate, reward_scale and max_grad_norm must be above zero.")
-
-
-class Ppo:
-    """Trains the networks on the environment, one batch per `iterate`.
-
-    Args:
-        env: The batch of environments; reset on construction.
-        networks: Policy and value function.
-        settings: Hyper-parameters.
-        total_frames: Environment steps that the learning-rate schedule and the curricula span.
-        seed: Of exploration noise and minibatch order.
-        compile: Compile acting and the loss.
-        renew_scenes: Scenes of the pool laid out anew after each batch.
-        curricula: What sets the difficulties that the environment reads.
-    """
-
-    def __init__(
-        self,
-        env: QuadrotorEnv,
-        networks: Networks,
-        settings: PpoSettings,
-        *,
-        total_frames: int,
-        seed: int = 0,
-        compile: bool = True,
-        renew_scenes: int = 0,
-        curricula: Sequence[Curriculum] = (),
-    ) -> None:
-        require_untransformed(env)
-        self.env = env
-        self.curricula = Curricula(curricula, env)
-        self.networks = networks.to(env.device)
-        self.settings = settings
-        self.total_frames = total_frames
-        self.renew_scenes = renew_scenes
-        self.frames = 0
-        self.iteration = 0
-        self.trained_s = 0.0  # in all processes that trained it
-        self.made_with = ""  # fingerprint of the configuration, for checkpoints
-        if settings.minibatch > settings.steps * env.num_envs:
+        frames = self.steps * self.context.num_envs
+        if self.minibatch > frames:
             raise ConfigError(
-                f"algorithm.minibatch is {settings.minibatch}, more than a batch of "
-                f"{settings.steps} steps x "
-                f"{env.num_envs} environments; lower it."
+                f"minibatch is {self.minibatch}, more than a batch of {self.steps} steps x "
+                f"{self.context.num_envs} environments; lower it."
             )
-        self.parameters = [p for p in networks.parameters() if p.requires_grad]
-        self.optimizer = torch.optim.Adam(
-            self.parameters, lr=settings.learning_rate, eps=1e-5, fused=True
-        )
-        self.noise = generator_for(seed, "exploration", env.device)
-        self.order = generator_for(seed, "minibatches")
-        self._act: Callable[[Tensor, Tensor], tuple[Tensor, ...]] = self._act_eagerly
-        self._losses: Callable[[Tensor], tuple[Tensor, ...]] = self._losses_eagerly
-        if compile:
-            self._act = torch.compile(self._act_eagerly, fullgraph=True, dynamic=False)
-            self._losses = torch.compile(self._losses_eagerly, dynamic=False)
-        self.batch = self._allocate()
-        self.keeps_starts = False
-        self._starts: list[tuple[int, Tensor, World]] = []
-        self.statistics = EpisodeStatistics(
-            env.num_envs, (*env.stages.outcomes, RENEWED), env.device, env.stages.difficulties
-        )
-        env.restart(torch.arange(env.num_envs))
-
-    def keep_starts(self) -> None:
-        """From now on takes down how episodes begin, for `take_starts`; first, those flying now."""
-        self.keeps_starts = True
-        self._note_starts(self.iteration * self.settings.steps, torch.arange(self.env.num_envs))
-
-    def take_starts(self) -> list[tuple[int, Tensor, World]]:
-        """Episodes begun since the last call: first step in the run, rows [k], their world."""
-        taken, self._starts = self._starts, []
-        return taken
-
-    @property
-    def batch_frames(self) -> int:
-        """Environment steps per batch."""
-        return self.settings.steps * self.env.num_envs
-
-    @property
-    def share_trained(self) -> float:
-        """Of `total_frames`, at most 1."""
-        return min(self.frames / self.total_frames, 1.0)
-
-    def iterate(self) -> dict[str, float]:
-        """Collects one batch and updates on it; returns the figures to log."""
-        self.collect()
-        self.estimate_advantages()
-        figures = self.update()
-        self._learn_normalization()
-        self.frames += self.batch_frames
-        self.iteration += 1
-        self.curricula.advance(self.share_trained, self.statistics.complete())
-        return figures
-
-    @torch.no_grad()
-    def collect(self) -> None:
-        """Flies `steps` control steps in all environments into `batch`, then renews scenes.
-
-        Raises:
-            NumericalError: An observation, a reward or an action is not finite; names its term.
-        """
-        batch, env = self.batch, self.env
-        self.statistics.begin_batch(self.iteration * self.settings.steps)
-        self._terminal: list[tuple[int, Tensor, Tensor]] = []
-        for t in range(self.settings.steps):
-            row = cast(TensorDict, batch[t])
-            noise = torch.randn(row["action"].shape, generator=self.noise, device=env.device)
-            action, log_prob, value = self._act(env.observation, noise)
-            row["observation"].copy_(env.observation)
-            row["action"].copy_(action)
-            row["action_log_prob"].copy_(log_prob)
-            row["state_value"].copy_(value)
-            for key in RECORDED:
-                row[key].copy_(env.value_of(key))
-            try:
-                out = env.advance(action)
-            except NumericalError:
-                require_finite(batch[:t], self._terminal, env, self.statistics)
-                raise
-            for name in ("reward", "terminated", "truncated", "done", "reward_terms"):
-                row[name].copy_(getattr(out, name))
-            self.statistics.step(t, out, env.value_of(keys.SCENE_INDEX), env.flown_difficulties)
-            rows = out.done[:, 0].nonzero()[:, 0]
-            if len(rows):
-                self._terminal.append((t, rows, out.observation[rows]))
-                env.restart(rows)
-                self._note_starts(self.statistics.start_step + t + 1, rows)
-        require_finite(batch, self._terminal, env, self.statistics)
-        if self.renew_scenes:
-            self._renew()
-
-    @torch.no_grad()
-    def estimate_advantages(self) -> None:
-        """Generalised advantages and value targets.
-
-        Truncated episodes bootstrap from their last observation.
-        """
-        batch, settings = self.batch, self.settings
-        last_value = self._act(self.env.observation, torch.zeros_like(batch["action"][0]))[2]
-        next_value = torch.cat((batch["state_value"][1:], last_value.unsqueeze(0)))
-        for t, rows, observation in self._terminal:
-            normal = self.networks.normalization(observation)
-            next_value[t, rows] = self.networks.critic.module(normal)
-        advantage, target = generalized_advantage_estimate(
-            settings.gamma,
-            settings.gae_lambda,
-            batch["state_value"],
-            next_value,
-            batch["reward"] * settings.reward_scale,
-            done=batch["done"],
-            terminated=batch["terminated"],
-            time_dim=0,
-        )
-        batch["advantage"].copy_(advantage)
-        batch["value_target"].copy_(target)
-
-    def update(self) -> dict[str, float]:
-        """`epochs` passes of clipped policy and value gradient steps over the batch."""
-        settings = self.settings
-        rate = self._learning_rate()
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        samples = self._samples()
-        sums = torch.zeros(5, device=self.env.device)
-        count = 0
-        whole = self.batch_frames // settings.minibatch * settings.minibatch
-        for _ in range(settings.epochs):
-            order = torch.randperm(self.batch_frames, generator=self.order).to(self.env.device)
-            for minibatch in samples[order[:whole]].split(settings.minibatch):
-                sums += self._gradient_step(minibatch)
-                count += 1
-            if settings.target_kl and float(sums[3] / count) > settings.target_kl:
-                break
-        policy, value, entropy, kl, clipped = (sums / count).tolist()
-        if not policy + value < float("inf"):
-            raise NumericalError(
-                "The loss is not finite, though all that was flown is, with "
-                f"{largest_reward(self.batch, self.env.stages)}; lower algorithm.learning_rate or "
-                "algorithm.reward_scale."
+        if self.remembers and self.minibatch < self.steps:
+            raise ConfigError(
+                f"minibatch is {self.minibatch}, but a policy that remembers learns from whole "
+                f"sequences of {self.steps} steps; raise it."
             )
-        return {
-            "loss/policy": policy,
-            "loss/value": value,
-            "policy/entropy": entropy,
-            "policy/kl": kl,
-            "policy/clipped": clipped,
-            "policy/std": float(self.networks.head.log_std.detach().exp().mean()),
-            "optimizer/learning_rate": rate,
-        }
 
-    def _samples(self) -> Tensor:
-        """What the losses need of the batch, side by side so that one gather shuffles it.
 
-        [samples, columns]: observation, action, its log-probability, advantage, value target.
-        """
-        columns = [self.networks.normalization(cast(Tensor, self.batch["observation"]))]
-        columns += [self.batch["action"], self.batch["action_log_prob"].unsqueeze(-1)]
-        columns += [self.batch["advantage"], self.batch["value_target"]]
-        return torch.cat(columns, -1).flatten(0, 1)
-
-    def _gradient_step(self, samples: Tensor) -> Tensor:
-        loss, *figures = self._losses(samples)
-        loss.backward()
-        nn.utils.clip_grad_norm_(self.parameters, self.settings.max_grad_norm, foreach=True)
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
-        return torch.stack([figure.detach() for figure in figures])
-
-    def _losses_eagerly(self, samples: Tensor) -> tuple[Tensor, ...]:
-        """The sum to minimise; then policy and value loss, entropy, divergence, share clipped.
-
-        Of `_samples`. What TorchRL's `ClipPPOLoss` computes, without the milliseconds that its
-        TensorDict costs a minibatch (Schulman et al. 2017, eq. 7 and 9; advantages normalised).
-        """
-        settings, actions = self.settings, self.env.stages.terms.action.width
-        widths = (self.env.observation_width, actions, 1, 1, 1)
-        observation, action, before, advantage, target = samples.split(widths, -1)
-        mean, std = self.networks.head(observation)
-        log_std = std.log()
-        now = -(0.5 * ((action - mean) / std).square() + log_std + HALF_LOG_2_PI)
-        change = now.sum(-1, keepdim=True) - before
-        clip = math.log1p(-settings.clip_epsilon), math.log1p(settings.clip_epsilon)
-        clipped = change.clamp(*clip)
-        advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=1e-6)
-        gain = torch.minimum(change.exp() * advantage, clipped.exp() * advantage)
-        policy = -gain.mean()
-        error = self.networks.critic.module(observation) - target
-        value = settings.value_coefficient * error.square().mean()
-        entropy = (log_std + HALF_LOG_2_PI + 0.5).sum(-1).mean()
-        total = policy + value - settings.entropy_coefficient * entropy
-        share = (clipped != change).float().mean()
-        return total, policy, value, entropy, -change.mean(), share
-
-    def _act_eagerly(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, ...]:
-        """Action, its log probability and the value [n, 1]."""
-        observation = self.networks.normalization(observation)
-        mean, std = self.networks.head(observation)
-        action = mean + std * noise
-        log_prob = (-0.5 * noise.square() - std.log() - HALF_LOG_2_PI).sum(-1)
-        return action, log_prob, self.networks.critic.module(observation)
-
-    def _learn_normalization(self) -> None:
-        """Adds the batch to running statistics; only now, so that collecting and updating agree.
-
-        Were they renewed before the update, the probability ratio would not begin at one.
-        """
-        if isinstance(self.networks.normalization, RunningNormalization):
-            self.networks.normalization.update(self.batch["observation"])
-
-    def _renew(self) -> None:
-        """Lays scenes out anew; the few episodes still flying in them are truncated."""
-        rows = self.env.renew(self.renew_scenes)
-        rows = rows[~self.batch["done"][-1, rows, 0]]
-        last = self.settings.steps - 1
-        self.batch["done"][last, rows] = True
-        self.batch["truncated"][last, rows] = True
-        self._terminal.append((last, rows, self.env.observation[rows]))
-        self.statistics.cut(last, rows, RENEWED)
-        if len(rows):
-            self.env.restart(rows)
-            self._note_starts(self.statistics.start_step + self.settings.steps, rows)
-
-    def _note_starts(self, step: int, rows: Tensor) -> None:
-        if self.keeps_starts:
-            self._starts.append((step, rows, self.env.world_of(rows)))
-
-    def _learning_rate(self) -> float:
-        settings = self.settings
-        first, last = settings.learning_rate, settings.final_learning_rate
-        if settings.schedule == "geometric":
-            return first * (last / first) ** self.share_trained
-        return first + self.share_trained * (last - first)
-
-    def _allocate(self) -> TensorDict:
-        """The batch's memory, [steps, n]."""
-        shape = (self.settings.steps, self.env.num_envs)
-        device = self.env.device
-        widths = {
-            "observation": self.env.observation_width,
-            "action": self.env.action_spec.shape[-1],
-            "reward": 1,
-            "state_value": 1,
-            "advantage": 1,
-            "value_target": 1,
-            "reward_terms": len(self.env.stages.terms.rewards),
-        }
-        samples = widths["observation"] + widths["action"] + 3  # as the update puts them together,
-        per_step = sum(widths.values()) + 3 * samples  # in order, and shuffled for two epochs
-        require_memory(
-            4.0 * per_step * self.batch_frames,
-            f"algorithm.steps is {self.settings.steps} and num_envs {self.env.num_envs}",
-            "lower one of them",
-            device,
-        )
-        flags = {
-            name: torch.zeros(*shape, 1, dtype=torch.bool, device=device)
-            for name in ("terminated", "truncated", "done")
-        }
-        floats = {name: torch.zeros(*shape, width, device=device) for name, width in widths.items()}
-        states = {
-            key: torch.zeros(*shape, *map(int, keys.DECLARED[key].shape), device=device)
-            for key in RECORDED
-        }
-        log_prob = {"action_log_prob": torch.zeros(shape, device=device)}
-        return TensorDict(
-            {**flags, **floats, **states, **log_prob}, batch_size=shape, device=device
-        )
+def _drawn(mean: Tensor, std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+    """An action and its log probability [n], from standard normal noise."""
+    action = mean + std * noise
+    return action, (-0.5 * noise.square() - std.log() - HALF_LOG_2_PI).sum(-1)

@@ -19,8 +19,8 @@ from resc.build import build
 from resc.errors import CheckpointError, RecordingError, RescError
 from resc.flying.episodes import RENEWED
 from resc.learning.checkpoint import save_checkpoint
-from resc.learning.ppo import Ppo
 from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
+from resc.learning.trainer import Trainer
 from resc.policies.stored import save_policy
 from resc.recording.rollouts import (
     open_recorder,
@@ -65,7 +65,7 @@ def stopping_at_batch_end() -> Iterator[Interruption]:
 
 
 def train_and_save(
-    trainer: Ppo, config: DictConfig, folder: Path, overrides: Sequence[str]
+    trainer: Trainer, config: DictConfig, folder: Path, overrides: Sequence[str]
 ) -> dict[str, Any]:
     """Trains until the budget is spent or a signal comes, saves; returns frames and seconds.
 
@@ -77,7 +77,7 @@ def train_and_save(
         directory=folder / ROLLOUTS,
         outcomes=(*trainer.env.stages.outcomes, RENEWED),
         num_envs=config["num_envs"],
-        policy=trainer.networks.policy,
+        policy=trainer.policy,
         overrides=overrides,
     )
     allowed = config["allowed_targets"]
@@ -101,7 +101,7 @@ def train_and_save(
         logger.close()
         if recorder is not None:
             recorder.close()
-    save_policy(folder, trainer.networks, trainer.env.stages, config)
+    save_policy(folder, trainer.algorithm.networks, trainer.env.stages, config)
     if table.rows:
         draw_learning_curve(table.rows, folder / "learning_curve.png")
     own = speeds(trainer.frames - frames, trainer.trained_s - trained_s)
@@ -124,7 +124,7 @@ def speeds(frames: int, wall_s: float) -> dict[str, float | int]:
 
 
 def train(
-    trainer: Ppo,
+    trainer: Trainer,
     folder: Path,
     *,
     total_frames: int,
@@ -140,8 +140,8 @@ def train(
     pool = trainer.env.pool
     saved_at = counted_to = time.monotonic()
     if recorder is not None:
-        record_world(recorder, pool, trainer.iteration * trainer.settings.steps)
-        trainer.keep_starts()
+        record_world(recorder, pool, trainer.collector.start_step)
+        trainer.collector.keep_starts()
     bar = tqdm(
         total=total_frames, initial=trainer.frames, unit="step", unit_scale=True, smoothing=0.05
     )
@@ -175,19 +175,19 @@ def train(
     return trainer.frames >= total_frames
 
 
-def _keep_policy(trainer: Ppo, config: DictConfig, folder: Path, error: Exception) -> None:
+def _keep_policy(trainer: Trainer, config: DictConfig, folder: Path, error: Exception) -> None:
     """Saves the weights that the last whole batch left; the disk may be full, or they spoilt."""
-    if not all(parameter.isfinite().all() for parameter in trainer.parameters):
+    if not all(parameter.isfinite().all() for parameter in trainer.algorithm.parameters):
         return
     try:
-        save_policy(folder, trainer.networks, trainer.env.stages, config)
+        save_policy(folder, trainer.algorithm.networks, trainer.env.stages, config)
     except (RescError, OSError) as failure:
         error.add_note(f"The policy could not be saved: {failure}")
     else:
         error.add_note(f"The policy as it was after {trainer.frames} frames is in {folder}.")
 
 
-def _save_in_need(trainer: Ppo, folder: Path, error: RecordingError) -> None:
+def _save_in_need(trainer: Trainer, folder: Path, error: RecordingError) -> None:
     """Saves the checkpoint although the recorder failed; the disk may be full."""
     try:
         save_checkpoint(folder / CHECKPOINT, trainer)
@@ -195,24 +195,24 @@ def _save_in_need(trainer: Ppo, folder: Path, error: RecordingError) -> None:
         error.add_note(f"The checkpoint before stays as it is: {failure}")
 
 
-def record_batch(trainer: Ppo, recorder: RolloutRecorder | None) -> None:
+def record_batch(trainer: Trainer, recorder: RolloutRecorder | None) -> None:
     """Hands the batch just flown to the recorder, with the scenes renewed after it."""
     if recorder is None:
         return
     start = trainer.statistics.start_step
     recorder.put(
-        with_flown(trainer.batch),
+        with_flown(trainer.collector.flown),
         start,
         with_success(trainer.statistics.episodes()),
-        start_arrays(trainer.take_starts()),
+        start_arrays(trainer.collector.take_starts()),
     )
-    if trainer.renew_scenes:
+    if count := trainer.collector.renew_scenes:
         pool = trainer.env.pool
-        renewed = (pool.head + torch.arange(-trainer.renew_scenes, 0)) % len(pool)
-        record_world(recorder, pool, start + trainer.settings.steps, renewed)
+        renewed = (pool.head + torch.arange(-count, 0)) % len(pool)
+        record_world(recorder, pool, trainer.collector.start_step, renewed)
 
 
-def _reward_terms(trainer: Ppo) -> dict[str, float]:
+def _reward_terms(trainer: Trainer) -> dict[str, float]:
     """Mean weighted reward per step, by term."""
     means = cast(Tensor, trainer.batch["reward_terms"]).mean((0, 1)).tolist()
     names = [term.name for term in trainer.env.stages.terms.rewards]

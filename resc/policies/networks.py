@@ -1,24 +1,28 @@
-"""Policy and value networks, as TorchRL modules over TensorDict keys."""
+"""Networks: what normalises an observation, and the models that policies and values are made of."""
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
+from torchrl.modules import GRUModule
 
 from resc.errors import ConfigError
 from resc.process import require_memory
-from resc.quantities import Positive, Within
+from resc.quantities import Within
 
+Width = Annotated[int, Within(1, 10_000)]
 EPSILON = 1e-8
 BOUND = 10.0
 COPIES = 8
 """Of the weights in memory: policy and value, each with its gradient and Adam's two moments."""
+NORMALIZED, MEMORY, FEATURES = "normalized", "memory", "features"
+"""Keys between the modules of a policy."""
+STATE, IS_INIT = "policy_state", "is_init"
+"""Keys of a recurrent policy: what it remembers, and whether an episode begins."""
 
 
 class Tanh(nn.Module):
@@ -71,118 +75,119 @@ class RunningNormalization(nn.Module):
         self.count.copy_(total)
 
 
-class GaussianHead(nn.Module):
-    """Mean and standard deviation of the action; the latter is the same everywhere."""
-
-    def __init__(self, body: nn.Module, width: int, initial_std: float) -> None:
-        super().__init__()
-        self.body = body
-        self.log_std = nn.Parameter(torch.full((width,), initial_std).log())
-
-    def forward(
-        self, observation: Float[Tensor, "*n d"]
-    ) -> tuple[Float[Tensor, "*n a"], Float[Tensor, "*n a"]]:
-        """Mean and standard deviation, in action units."""
-        mean = self.body(observation)
-        return mean, self.log_std.exp().expand_as(mean)
-
-
 NORMALIZATIONS = {"none": nn.Identity, "running": RunningNormalization}
 
 
-@dataclass(frozen=True)
-class Networks:
-    """The policy `actor` and the value function `critic`; they share nothing but their input.
+@runtime_checkable
+class Model(Protocol):
+    """What the networks of a run are made of; the algorithm says which it needs.
 
-    That is what `normalization` makes of the observation. It stands before them, not in them, so
-    that an update normalises its batch once.
+    `state_width` is how many numbers the policy remembers from step to step, 0 for none.
     """
 
-    actor: ProbabilisticActor
-    critic: ValueOperator
-    normalization: nn.Module = field(default_factory=nn.Identity)
+    state_width: int
 
-    @property
-    def head(self) -> GaussianHead:
-        """The policy without its distribution: of normalised observations."""
-        # A sequence does not tell what its modules wrap; `build_networks` put the head there.
-        return self.actor[0].module  # pyright: ignore[reportReturnType]
+    def policy(self, inputs: int, outputs: int, gain: float) -> Sequence[TensorDictModuleBase]:
+        """Modules from the key `normalized` to the key `features`."""
+        ...
 
-    @property
-    def policy(self) -> nn.Module:
-        """The normalisation, then the head: takes observations as the environment gives them."""
-        return nn.Sequential(self.normalization, self.head)
+    def value(self, inputs: int, outputs: int = 1) -> nn.Module:
+        """A function of numbers side by side [*n, inputs], without memory."""
+        ...
 
-    def parameters(self) -> list[nn.Parameter]:
-        """All weights, policy first."""
-        return [*self.actor.parameters(), *self.critic.parameters()]
-
-    def to(self, device: torch.device | str) -> "Networks":
-        """Moves all in place."""
-        self.normalization.to(device)
-        self.actor.to(device)
-        self.critic.to(device)
-        return self
+    def normalizer(self, width: int) -> nn.Module:
+        """What comes before both."""
+        ...
 
 
-def build_networks(
-    *,
-    hidden: Sequence[Annotated[int, Within(1, 10_000)]],
-    activation: str = "tanh",
-    initial_std: Positive = 0.6,
-    normalization: str = "none",
-    observation_width: int,
-    action_width: int,
-    seed: int = 0,
-) -> Networks:
-    """Two multilayer perceptrons with orthogonal weights.
+class Mlp:
+    """Multilayer perceptrons with orthogonal weights, one for the policy and one for each value.
 
     Args:
         hidden: Width of each hidden layer.
         activation: tanh, relu or elu.
-        initial_std: Standard deviation of the actions at the start, in action units.
         normalization: Of the observation: none, or running (mean 0 and variance 1 by column, from
             what training has seen). Fixed factors are each observation's `scale`.
-        observation_width: Length of the observation.
-        action_width: Length of the action.
-        seed: Of the initial weights.
     """
-    if activation not in ACTIVATIONS:
-        raise ConfigError(
-            f"activation is '{activation}'; expected one of {', '.join(ACTIVATIONS)}."
+
+    state_width = 0
+
+    def __init__(
+        self, *, hidden: Sequence[Width], activation: str = "tanh", normalization: str = "none"
+    ) -> None:
+        if activation not in ACTIVATIONS:
+            raise ConfigError(
+                f"activation is '{activation}'; expected one of {', '.join(ACTIVATIONS)}."
+            )
+        if normalization not in NORMALIZATIONS:
+            raise ConfigError(
+                f"normalization is '{normalization}'; expected one of {', '.join(NORMALIZATIONS)}."
+            )
+        if min(hidden, default=1) < 1:
+            raise ConfigError("every hidden width must be above zero.")
+        self.hidden = list(hidden)
+        self.activation = activation
+        self.normalization = normalization
+
+    def policy(self, inputs: int, outputs: int, gain: float) -> Sequence[TensorDictModuleBase]:
+        """One module from the normalised observation to the features."""
+        body = self._perceptron(inputs, outputs, gain)
+        return [TensorDictModule(body, [NORMALIZED], [FEATURES])]
+
+    def value(self, inputs: int, outputs: int = 1) -> nn.Module:
+        """A perceptron of the same hidden layers."""
+        return self._perceptron(inputs, outputs, gain=1.0)
+
+    def normalizer(self, width: int) -> nn.Module:
+        """What comes before both."""
+        return NORMALIZATIONS[self.normalization](width)
+
+    def _perceptron(self, inputs: int, outputs: int, gain: float) -> nn.Sequential:
+        widths = [inputs, *self.hidden]
+        weights = sum(a * b for a, b in itertools.pairwise([*widths, outputs]))
+        require_memory(
+            4.0 * weights * COPIES, f"hidden is {self.hidden}", "take narrower or fewer layers"
         )
-    if normalization not in NORMALIZATIONS:
-        raise ConfigError(
-            f"normalization is '{normalization}'; expected one of {', '.join(NORMALIZATIONS)}."
-        )
-    if initial_std <= 0 or min(hidden, default=1) < 1:
-        raise ConfigError("initial_std and every hidden width must be above zero.")
-    weights = sum(a * b for a, b in itertools.pairwise([observation_width, *hidden, action_width]))
-    require_memory(
-        4.0 * weights * COPIES, f"hidden is {list(hidden)}", "take narrower or fewer layers"
-    )
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        body = _perceptron(observation_width, hidden, action_width, activation, gain=0.01)
-        value = _perceptron(observation_width, hidden, 1, activation, gain=1.0)
-    head = TensorDictModule(
-        GaussianHead(body, action_width, initial_std), ["observation"], ["loc", "scale"]
-    )
-    actor = ProbabilisticActor(
-        head, in_keys=["loc", "scale"], distribution_class=IndependentNormal, return_log_prob=True
-    )
-    critic = ValueOperator(value, in_keys=["observation"])
-    return Networks(actor, critic, NORMALIZATIONS[normalization](observation_width))
+        layers: list[nn.Module] = []
+        for before, after in itertools.pairwise(widths):
+            layers += [_linear(before, after, 2**0.5), ACTIVATIONS[self.activation]()]
+        return nn.Sequential(*layers, _linear(widths[-1], outputs, gain))
 
 
-def _perceptron(
-    inputs: int, hidden: Sequence[int], outputs: int, activation: str, gain: float
-) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    widths = [inputs, *hidden]
-    for before, after in itertools.pairwise(widths):
-        layers += [_linear(before, after, 2**0.5), ACTIVATIONS[activation]()]
-    return nn.Sequential(*layers, _linear(widths[-1], outputs, gain))
+class Gru(Mlp):
+    """A policy that remembers: a gated recurrent unit, and a perceptron that reads its state.
+
+    Value functions have no memory; what they cannot see in the observation of the moment, give them
+    by `observation_critic`. The memory is empty where an episode begins.
+
+    Args:
+        width: Numbers remembered.
+        hidden: Width of each hidden layer after the memory, and of those of value functions.
+        activation: tanh, relu or elu.
+        normalization: As of `Mlp`.
+    """
+
+    def __init__(
+        self,
+        *,
+        width: Width,
+        hidden: Sequence[Width],
+        activation: str = "tanh",
+        normalization: str = "none",
+    ) -> None:
+        super().__init__(hidden=hidden, activation=activation, normalization=normalization)
+        self.state_width = width
+
+    def policy(self, inputs: int, outputs: int, gain: float) -> Sequence[TensorDictModuleBase]:
+        """The memory, which reads `policy_state` and `is_init`, then the perceptron."""
+        memory = GRUModule(
+            input_size=inputs,
+            hidden_size=self.state_width,
+            in_keys=[NORMALIZED, STATE, IS_INIT],
+            out_keys=[MEMORY, ("next", STATE)],
+        )
+        reading = self._perceptron(self.state_width, outputs, gain)
+        return [memory, TensorDictModule(reading, [MEMORY], [FEATURES])]
 
 
 def _linear(inputs: int, outputs: int, gain: float) -> nn.Linear:

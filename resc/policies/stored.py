@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from jaxtyping import Float
@@ -17,14 +17,16 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from resc.build import build, load_config
+from resc.build import ALLOWED, build, load_config, locate
 from resc.command_line import command
 from resc.envs.quadrotor import layout_of
 from resc.envs.stages import Stages
 from resc.errors import CheckpointError
 from resc.places import HOME
-from resc.policies.networks import Networks
+from resc.policies.networks import STATE, Model
+from resc.policies.policy import Policy
 from resc.run_folder import CHECKPOINT, CONFIG, LATEST, POLICY, latest, replacing
 from resc.settings import fingerprint
 
@@ -33,31 +35,35 @@ ACTION_WIDTH = 4
 """Of policies stored before their files said it."""
 
 
-class Policy(TensorDictModuleBase):
+class StoredPolicy(TensorDictModuleBase):
     """A trained policy with all that is needed to fly it.
 
     For observations it returns the mean action, clipped to [-1, 1]; in a TensorDict, as TorchRL's
     rollouts and collectors hand it on, it sets the action.
 
     Args:
-        head: The network, its normalisation of the observation included.
+        policy: From observations to actions, normalisation included.
         layout: Names and widths of the observation's blocks.
         config: The resolved configuration it was trained with: data, not code.
     """
 
-    def __init__(self, head: nn.Module, layout: Layout, config: DictConfig) -> None:
+    def __init__(self, policy: Policy, layout: Layout, config: DictConfig) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = ["observation"], ["action"]
-        self.head, self.layout, self.config = head, layout, config
+        self.in_keys = list(policy.in_keys)
+        self.out_keys = ["action", *([("next", STATE)] if policy.state_width else [])]
+        self.policy, self.layout, self.config = policy, layout, config
 
     @torch.no_grad()
     def forward(
         self, observation: Float[Tensor, "*n d"] | TensorDictBase
     ) -> Float[Tensor, "*n a"] | TensorDictBase:
-        """The action [n, a] for observations [n, d], or the TensorDict with it."""
-        if isinstance(observation, TensorDictBase):
-            return observation.set("action", self(observation["observation"]))
-        return self.head(observation)[0].clamp(-1, 1)
+        """The action [n, a] for observations [n, d] of first steps, or the TensorDict with it."""
+        if not isinstance(observation, TensorDictBase):
+            return self.policy.decide(observation)[0]
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            out = self.policy(observation.select(*self.in_keys))
+        out["action"] = out["action"].clamp(-1, 1)
+        return observation.update(out.select(*self.out_keys))
 
     def require_layout(self, stages: Stages) -> None:
         """Raises CheckpointError, naming the first difference, if observations differ."""
@@ -77,16 +83,16 @@ def require_same_layout(trained: Sequence[tuple[str, int]], stages: Stages) -> N
             )
 
 
-def save_policy(folder: Path, networks: Networks, stages: Stages, config: DictConfig) -> None:
-    """Writes policy.pt (weights and layout) and config.yaml into a folder."""
+def save_policy(folder: Path, networks: nn.ModuleDict, stages: Stages, config: DictConfig) -> None:
+    """Writes policy.pt (weights and layout) and config.yaml into a folder.
+
+    `networks` are an algorithm's: `policy`, and what it needs beside it.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    state = {name: value.cpu() for name, value in networks.head.state_dict().items()}
-    value = {name: value.cpu() for name, value in networks.critic.state_dict().items()}
-    seen = {name: value.cpu() for name, value in networks.normalization.state_dict().items()}
+    head = type(cast(Policy, networks["policy"]).head)
     content = {
-        "head": state,
-        "critic": value,
-        "normalization": seen,
+        "networks": {name: value.cpu() for name, value in networks.state_dict().items()},
+        "head": f"{head.__module__}.{head.__qualname__}",
         "layout": [list(block) for block in layout_of(stages)],
         "action_width": stages.terms.action.width,
         "made_with": fingerprint(config),
@@ -106,28 +112,60 @@ def policy_folder(text: str, setting: str) -> Path:
     return ours if ours.exists() and not Path(text).exists() else Path(text)
 
 
-def load_weights(folder: Path, networks: Networks, stages: Stages) -> None:
-    """Puts the weights of a stored policy, value function and normalisation included, into others.
+def load_weights(folder: Path, networks: nn.ModuleDict, stages: Stages) -> list[str]:
+    """Puts the weights of a stored policy, normalisation included, into an algorithm's networks.
+
+    Those of its other networks, too, where the stored ones are the same. Returns the names of the
+    networks that begin afresh.
 
     Raises:
         CheckpointError: A file is missing, cut short or foreign, or it is of another observation
-            or other networks.
+            or another policy.
     """
     if not (folder / POLICY).exists():
         raise CheckpointError(f"{folder} holds no {POLICY}; {_where_else(folder)}.")
-    content = read(folder / POLICY, ("head", "critic", "layout"))
+    content = _in_todays_form(read(folder / POLICY, ("head", "layout")))
     require_same_layout([(str(name), int(width)) for name, width in content["layout"]], stages)
     config = load_config(folder / CONFIG)
     _require_same_input(folder, config, stages)
-    try:
-        networks.head.load_state_dict(content["head"])
-        networks.critic.load_state_dict(content["critic"])
-        networks.normalization.load_state_dict(content.get("normalization", {}))
-    except RuntimeError:
-        raise CheckpointError(
-            f"The networks of {folder} are not those of this run; give it the same: model is "
-            f"{config.get('model')} there."
-        ) from None
+    afresh = []
+    for name, network in networks.items():
+        try:
+            network.load_state_dict(_part(content["networks"], name))
+        except RuntimeError:
+            if name != "policy":
+                afresh.append(name)
+                continue
+            raise CheckpointError(
+                f"The policy of {folder} is not of the same networks as this run's; give it the "
+                f"same: model is {config.get('model')} there, algorithm "
+                f"{(config.get('algorithm') or {}).get('_target_')}."
+            ) from None
+    return afresh
+
+
+def _part(weights: Mapping[str, Tensor], name: str) -> dict[str, Tensor]:
+    """The weights of one of several networks."""
+    return {
+        key.removeprefix(f"{name}."): value
+        for key, value in weights.items()
+        if key.startswith(f"{name}.")
+    }
+
+
+def _in_todays_form(content: dict[str, Any]) -> dict[str, Any]:
+    """A policy file's content; older ones keep head, value function and normalisation apart."""
+    if not isinstance(content["head"], Mapping):
+        return content
+    own, weights = content["head"], {}
+    for name, value in own.items():
+        place = "module.1.module." if name.startswith("body.") else "module.2.module."
+        weights[f"policy.{place}{name.removeprefix('body.')}"] = value
+    for name, value in content.get("normalization", {}).items():
+        weights[f"policy.module.0.module.{name}"] = value
+    for name, value in content.get("critic", {}).items():
+        weights[f"value.{name.removeprefix('module.')}"] = value
+    return {**content, "networks": weights, "head": "resc.policies.heads.Gaussian"}
 
 
 def _require_same_input(folder: Path, config: Mapping[str, Any], stages: Stages) -> None:
@@ -150,7 +188,7 @@ def _require_same_input(folder: Path, config: Mapping[str, Any], stages: Stages)
 
 def load_policy(
     folder: Path, device: torch.device | str = "cpu", allowed: Sequence[str] = ()
-) -> Policy:
+) -> StoredPolicy:
     """The policy of a run folder or of a shipped policy's folder.
 
     Targets outside resc are built if one of the prefixes `allowed` covers them.
@@ -164,23 +202,29 @@ def load_policy(
         raise CheckpointError(
             f"{folder} holds no {POLICY}; {_where_else(folder)}, or policies/obstacles."
         )
-    content = read(folder / POLICY, ("head", "layout"))
+    content = _in_todays_form(read(folder / POLICY, ("head", "layout")))
     config = load_config(folder / CONFIG)
     if "model" not in config:
         raise CheckpointError(f"{folder / CONFIG} lacks model; restore it from its run.")
     with fitting(folder / POLICY):
         layout = tuple((str(name), int(width)) for name, width in content["layout"])
-        networks = build(
-            config["model"],
-            "model",
-            allowed=allowed,
-            observation_width=sum(width for _, width in layout),
-            action_width=int(content.get("action_width", ACTION_WIDTH)),
+        head = locate(content["head"], "head", (*ALLOWED, *allowed))
+        policy = Policy(
+            build(_model_of(config), "model", allowed=allowed, kind=Model),
+            head(int(content.get("action_width", ACTION_WIDTH))),
+            sum(width for _, width in layout),
         )
-        networks.head.load_state_dict(content["head"])
-        networks.normalization.load_state_dict(content.get("normalization", {}))
+        policy.load_state_dict(_part(content["networks"], "policy"))
     require_same_run(content, fingerprint(config), folder / POLICY)
-    return Policy(networks.policy.to(device).eval(), layout, config)
+    return StoredPolicy(policy.to(device).eval(), layout, config)
+
+
+def _model_of(config: DictConfig) -> Any:  # noqa: ANN401 - a node of a configuration
+    """The node of the model; older ones name the spread of actions, which is the algorithm's."""
+    node = OmegaConf.to_container(config["model"], resolve=True)
+    if not isinstance(node, dict) or not str(node.get("_target_")).endswith(".build_networks"):
+        return node
+    return {name: value for name, value in node.items() if name != "initial_std"}
 
 
 def _where_else(folder: Path) -> str:

@@ -81,12 +81,12 @@ def states(compose):
         seen = []
         for _ in range(2):
             states = {name: g.get_state() for name, g in trainer.env.generators.items()}
-            states |= {"exploration": trainer.noise.get_state()}
-            states |= {"minibatches": trainer.order.get_state()}
+            states |= {"exploration": trainer.algorithm.noise.get_state()}
+            states |= {"minibatches": trainer.algorithm.order.get_state()}
             states |= {"pool": trainer.env.pool.generator.get_state()}
             seen.append(states)
             trainer.iterate()
-        assert not trainer.batch["done"][:-1].any()  # else resets would differ, too
+        assert not trainer.batch["next", "done"][:-1].any()  # else resets would differ, too
         return seen
 
     return flown

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from resc.build import build
-from resc.envs.quadrotor import layout_of
+from resc.learning.assemble import build_algorithm
 from resc.policies.stored import save_policy
 from resc.setup import build_stages
 
@@ -20,8 +19,7 @@ ROOT = Path(__file__).parents[2]
 def untrained(stored, tmp_path_factory):
     """The folder of a policy that has learned nothing."""
     stages = build_stages(stored)
-    width = sum(width for _, width in layout_of(stages))
-    networks = build(stored["model"], "model", observation_width=width, action_width=4)
+    networks = build_algorithm(stored, stages).networks
     folder = tmp_path_factory.mktemp("policy")
     save_policy(folder, networks, stages, stored)
     return folder

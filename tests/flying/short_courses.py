@@ -13,7 +13,7 @@ from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.planning.route import RoutePlanner, planner_for
-from resc.policies.stored import Policy
+from resc.policies.stored import StoredPolicy
 from resc.setup import build_stages
 
 SPEED_MPS = 2.0
@@ -39,7 +39,7 @@ class Pilot(nn.Module):
             name: slice(end - width, end) for (name, width), end in zip(layout, ends, strict=True)
         }
 
-    def forward(self, observation: Tensor) -> tuple[Tensor]:
+    def decide(self, observation: Tensor, state: None = None) -> tuple[Tensor, None]:
         velocity, attitude = (observation[:, self.at[name]] for name in ("velocity", "attitude"))
         ahead = observation[:, self.at["control_points"]][:, :3]
         reach = ahead.norm(dim=-1, keepdim=True).clamp(min=1e-6)
@@ -57,7 +57,8 @@ class Pilot(nn.Module):
             2 * turn,
         )
         limits = observation.new_tensor([2.0944, 2.0944, 1.0472])
-        return (torch.cat((torch.stack(rates, -1) / limits, ((thrust_g - 1) / 0.7)[:, None]), -1),)
+        action = torch.cat((torch.stack(rates, -1) / limits, ((thrust_g - 1) / 0.7)[:, None]), -1)
+        return action.clamp(-1, 1), state
 
 
 @pytest.fixture(scope="session")
@@ -68,18 +69,18 @@ def stored(compose: Callable[..., DictConfig]) -> DictConfig:
 
 
 @pytest.fixture(scope="session")
-def policy_for() -> Callable[[DictConfig], Policy]:
+def policy_for() -> Callable[[DictConfig], StoredPolicy]:
     """`policy_for(config)`: the pilot as a policy that was trained with a configuration."""
 
-    def make(config: DictConfig) -> Policy:
+    def make(config: DictConfig) -> StoredPolicy:
         layout = tuple(layout_of(build_stages(config)))
-        return Policy(Pilot(layout), layout, config)
+        return StoredPolicy(Pilot(layout), layout, config)
 
     return make
 
 
 @pytest.fixture(scope="session")
-def policy(policy_for: Callable[[DictConfig], Policy], stored: DictConfig) -> Policy:
+def policy(policy_for: Callable[[DictConfig], StoredPolicy], stored: DictConfig) -> StoredPolicy:
     """The pilot as a policy."""
     return policy_for(stored)
 

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from resc import keys
-from resc.build import build
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import NumericalError
-from resc.learning.ppo import Ppo
+from resc.learning.assemble import build_algorithm
+from resc.learning.trainer import Trainer
 from resc.setup import build_stages, set_up
 from resc.term import Observation, Reward, Termination
 
@@ -64,25 +64,23 @@ def trainer(compose):
         for group, term in more.items():
             terms[group] = [*terms[group], term.named("mine")]
         env = QuadrotorEnv(Stages(Terms(**terms), stages.context), pool, num_envs=2, compiled=False)
-        networks = build(
-            config["model"], "model", observation_width=env.observation_width, action_width=4
-        )
-        settings = build({**config["algorithm"], "steps": STEPS}, "algorithm")
-        return Ppo(env, networks, settings, total_frames=1000, compile=False)
+        own = {"algorithm": {**config["algorithm"], "steps": STEPS}, "num_envs": 2}
+        algorithm = build_algorithm({**config, **own, "compile": False}, env.stages)
+        return Trainer(env, algorithm)
 
     return make
 
 
 def test_a_reward_that_turns_nan_is_named_and_not_the_learning_rate(trainer):
     ppo = trainer(rewards=Rots(weight=0.5))
-    before = [p.clone() for p in ppo.networks.parameters()]
+    before = [p.clone() for p in ppo.algorithm.parameters]
     with pytest.raises(NumericalError) as caught:
         ppo.iterate()
     assert str(caught.value).startswith(
         "reward.mine is nan in environment 0 after 5 steps of its episode and 5 of the run; look "
     )
     assert "learning_rate" not in str(caught.value)
-    for old, new in zip(before, ppo.networks.parameters(), strict=True):
+    for old, new in zip(before, ppo.algorithm.parameters, strict=True):
         assert torch.equal(old, new)
 
 
@@ -119,9 +117,9 @@ def test_without_anything_wrong_in_the_flight_the_loss_points_to_the_learning_ra
 
 def test_weights_that_are_not_finite_are_blamed_on_the_training(trainer):
     ppo = trainer()
-    ppo.networks.parameters()[0].data.fill_(torch.nan)
+    ppo.algorithm.parameters[0].data.fill_(torch.nan)
     with pytest.raises(NumericalError, match="although all that is observed is finite"):
-        ppo.collect()
+        ppo.collector.collect()
 
 
 def test_an_action_answering_a_bad_observation_names_the_observation(make_env):

@@ -9,7 +9,7 @@ from torch.testing import assert_close
 
 from resc.errors import CheckpointError, ConfigError
 from resc.evaluation.setting import build_flying_env, settings_for
-from resc.flying.pilot import Pilot, StoredPolicy, build_pilots
+from resc.flying.pilot import FolderPilot, Pilot, build_pilots
 
 ROOT = Path(__file__).parents[2]
 NAMES = sorted(path.stem for path in (ROOT / "conf" / "pilot").glob("*.yaml"))
@@ -111,7 +111,7 @@ def test_class_that_is_no_pilot_is_refused():
 
 
 def test_policy_refuses_an_environment_that_shows_something_else(make_stages):
-    pilot = StoredPolicy(folder="policies/obstacles")
+    pilot = FolderPilot(folder="policies/obstacles")
     with pytest.raises(CheckpointError, match="fly it with the observation of its own"):
         pilot.check(make_stages("obstacle_observation=none"))
 

@@ -34,7 +34,7 @@ def trainer(config):
 
 @pytest.fixture
 def folder(trainer, config, tmp_path):
-    save_policy(tmp_path, trainer.networks, trainer.env.stages, config)
+    save_policy(tmp_path, trainer.algorithm.networks, trainer.env.stages, config)
     return tmp_path
 
 
@@ -42,7 +42,7 @@ def test_loaded_policy_gives_the_mean_action(folder, trainer):
     policy = load_policy(folder)
     observation = trainer.env.observation
     torch.testing.assert_close(
-        policy(observation), trainer.networks.head(observation)[0].clamp(-1, 1)
+        policy(observation), trainer.policy.network(observation).clamp(-1, 1)
     )
     policy.require_layout(trainer.env.stages)
 
@@ -96,7 +96,7 @@ def test_hostile_policy_file_runs_no_code(folder, tmp_path, writer):
 def test_hostile_stored_config_runs_no_code(folder, tmp_path):
     trace = tmp_path / "trace"
     text = (folder / CONFIG).read_text()
-    hostile = text.replace("resc.policies.networks.build_networks", "os.system")
+    hostile = text.replace("resc.policies.networks.Mlp", "os.system")
     (folder / CONFIG).write_text(hostile + f"\ncommand: touch {trace}\n")
     with pytest.raises(ConfigError, match=r"'os\.system', outside"):
         load_policy(folder)

@@ -116,8 +116,8 @@ def test_half_the_difficulty_halves_the_initial_speed(make_trainer):
 def test_a_difficulty_scales_the_weight_of_a_reward_alone(make_trainer):
     eased = ["reward.time.difficulty=hurry", f"+curriculum.hurry={{_target_:{FIXED},value:0.25}}"]
     full, quarter = make_trainer("reward.time.difficulty=null"), make_trainer(*eased)
-    full.collect()
-    quarter.collect()
+    full.collector.collect()
+    quarter.collector.collect()
     names = [term.name for term in full.env.stages.terms.rewards]
     scale = torch.tensor([0.25 if name == "time" else 1.0 for name in names])
     torch.testing.assert_close(quarter.batch["reward_terms"], full.batch["reward_terms"] * scale)

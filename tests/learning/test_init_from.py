@@ -22,7 +22,7 @@ def trained(compose, tmp_path):
     trainer = build_trainer(config)
     trainer.iterate()
     trainer.iterate()
-    save_policy(tmp_path / "trained", trainer.networks, trainer.env.stages, config)
+    save_policy(tmp_path / "trained", trainer.algorithm.networks, trainer.env.stages, config)
     return trainer, tmp_path / "trained"
 
 
@@ -37,15 +37,17 @@ def test_weights_and_normalisation_are_taken_all_else_is_fresh(compose, trained)
     before, folder = trained
     after, _ = begun(compose, folder, "seed=7", "reward.time.weight=4.0")
     assert torch.equal(weights(after), weights(before))
-    assert torch.equal(after.networks.normalization.mean, before.networks.normalization.mean)
-    assert (after.frames, after.iteration) == (0, 0)
-    assert not after.optimizer.state
+    assert torch.equal(after.policy.normalization.mean, before.policy.normalization.mean)
+    assert (after.frames, after.collector.batches) == (0, 0)
+    assert not after.algorithm.optimizer.state
     after.iterate()
     assert not torch.equal(weights(after), weights(before))
 
 
 def test_other_networks_are_refused_with_those_to_take(compose, trained):
-    with pytest.raises(CheckpointError, match=r"not those of this run.*'hidden': \[16\]"):
+    with pytest.raises(
+        CheckpointError, match=r"not of the same networks as this run.*'hidden': \[16\]"
+    ):
         begun(compose, trained[1], "model.hidden=[32]")
 
 

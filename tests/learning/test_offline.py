@@ -24,7 +24,7 @@ def flown(compose, tmp_path_factory):
     folder = tmp_path_factory.mktemp("rollouts")
     config = compose(*RUN)
     trainer = build_trainer(config)
-    trainer.keep_starts()
+    trainer.collector.keep_starts()
     outcomes = trainer.statistics.outcomes
     seen = []
     with open_recorder(

@@ -137,7 +137,7 @@ def test_held_out_flights_are_recorded_whole_and_fly_again(compose, tmp_path):
     some = ("recorder.envs=8", "recorder.every_n_batches=3", "evaluation_episodes=6")
     config = compose(*SMALL, *some, "termination.time_limit.limit_s=0.5")
     trainer = build_trainer(config)
-    save_policy(tmp_path, trainer.networks, trainer.env.stages, config)
+    save_policy(tmp_path, trainer.algorithm.networks, trainer.env.stages, config)
     flights = fly_held_out(config, tmp_path, ["seed=0"])
     log = RolloutLog(tmp_path / "held_out")
     episodes = log.episodes.sort("env_id")

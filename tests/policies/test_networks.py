@@ -45,12 +45,11 @@ def test_statistics_are_those_of_the_batches_before_the_one_collected(config):
     trainer = build_trainer(config)
     trainer.iterate()
     batch = trainer.batch["observation"].flatten(0, 1).double()
-    assert_close(trainer.networks.normalization.mean, batch.mean(0))
-    before = trainer.networks.normalization.state_dict()["mean"].clone()
-    trainer.collect()
-    trainer.estimate_advantages()
-    trainer.update()
-    assert torch.equal(trainer.networks.normalization.mean, before)
+    assert_close(trainer.policy.normalization.mean, batch.mean(0))
+    before = trainer.policy.normalization.state_dict()["mean"].clone()
+    batch = trainer.collector.collect()
+    trainer.algorithm.estimate_advantages(batch)
+    assert torch.equal(trainer.policy.normalization.mean, before)
 
 
 def test_the_update_begins_at_the_policy_that_collected(compose):
@@ -73,30 +72,31 @@ def test_a_normalised_run_resumed_equals_the_run_that_never_stopped(config, tmp_
     for _ in range(2):
         resumed.iterate()
     assert torch.equal(weights(whole), weights(resumed))
-    for name, value in whole.networks.normalization.state_dict().items():
-        assert torch.equal(value, resumed.networks.normalization.state_dict()[name])
+    for name, value in whole.policy.normalization.state_dict().items():
+        assert torch.equal(value, resumed.policy.normalization.state_dict()[name])
 
 
 def test_a_stored_policy_normalises_as_training_did_and_flying_teaches_it_nothing(config, tmp_path):
     trainer = build_trainer(config)
     for _ in range(2):
         trainer.iterate()
-    save_policy(tmp_path, trainer.networks, trainer.env.stages, config)
-    policy, networks = load_policy(tmp_path), trainer.networks
+    save_policy(tmp_path, trainer.algorithm.networks, trainer.env.stages, config)
+    policy, trained = load_policy(tmp_path), trainer.policy
     observation = trainer.env.observation
-    wanted = networks.head(networks.normalization(observation))[0].clamp(-1, 1)
+    wanted = trained.network(trained.normalization(observation)).clamp(-1, 1)
     assert_close(policy(observation), wanted)
-    assert not torch.equal(policy(observation), networks.head(observation)[0].clamp(-1, 1))
-    before = {name: value.clone() for name, value in policy.head.state_dict().items()}
+    assert not torch.equal(policy(observation), trained.network(observation).clamp(-1, 1))
+    before = {name: value.clone() for name, value in policy.policy.state_dict().items()}
     policy(observation + 100)
-    assert all(torch.equal(value, before[name]) for name, value in policy.head.state_dict().items())
+    after = policy.policy.state_dict()
+    assert all(torch.equal(value, before[name]) for name, value in after.items())
 
 
 def test_a_policy_without_the_statistics_its_configuration_asks_for_is_refused(
     compose, config, tmp_path
 ):
     plain = build_trainer(compose(*SMALL))
-    save_policy(tmp_path, plain.networks, plain.env.stages, config)
+    save_policy(tmp_path, plain.algorithm.networks, plain.env.stages, config)
     with pytest.raises(CheckpointError, match="does not fit"):
         load_policy(tmp_path)
 

@@ -34,7 +34,7 @@ def trained(compose, tmp_path_factory):
     """Four batches of a training, and its samples [T, N, 4] as the update sees them."""
     folder, samples, config = tmp_path_factory.mktemp("run"), [], compose(*SMALL)
     trainer = build_trainer(config)
-    trainer.keep_starts()
+    trainer.collector.keep_starts()
     with open_recorder(
         config, trainer.env.stages, directory=folder, outcomes=trainer.statistics.outcomes,
         num_envs=4,

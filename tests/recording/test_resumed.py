@@ -231,8 +231,8 @@ def fly(trainer, config, folder, batches):
         config, trainer.env.stages, directory=folder, outcomes=trainer.statistics.outcomes,
         num_envs=4,
     ) as recorder:  # fmt: skip
-        record_world(recorder, trainer.env.pool, trainer.iteration * trainer.settings.steps)
-        trainer.keep_starts()
+        record_world(recorder, trainer.env.pool, trainer.collector.start_step)
+        trainer.collector.keep_starts()
         for _ in range(batches):
             trainer.iterate()
             record_batch(trainer, recorder)

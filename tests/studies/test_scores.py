@@ -11,9 +11,8 @@ from made_up_sweep import make_run
 from matplotlib import pyplot as plt
 from omegaconf import OmegaConf
 
-from resc.build import build
-from resc.envs.quadrotor import layout_of
 from resc.errors import ConfigError
+from resc.learning.assemble import build_algorithm
 from resc.policies.stored import save_policy
 from resc.setup import build_stages
 from resc.studies.score_report import Score, over_seeds, read_score, write_scores
@@ -45,8 +44,7 @@ def sweep(tmp_path, stored):
     folder = tmp_path / "sweep"
     make_run(folder / "0", "seed=0", "gamma=0.9", success=[1, 0])
     stages = build_stages(stored)
-    width = sum(width for _, width in layout_of(stages))
-    networks = build(stored["model"], "model", observation_width=width, action_width=4)
+    networks = build_algorithm(stored, stages).networks
     save_policy(folder / "0", networks, stages, stored)
     OmegaConf.save(stored, folder / "0" / "config.yaml")
     (folder / "1").mkdir()
