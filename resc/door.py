@@ -90,7 +90,7 @@ def make_env(
 
 def load_policy(
     folder: str | Path, device: torch.device | str = "cpu", allowed: Sequence[str] = ()
-) -> stored.Policy:
+) -> stored.StoredPolicy:
     """A trained policy: its mean action for a batch of observations.
 
     Args:

@@ -49,8 +49,9 @@ class StoredPolicy(TensorDictModuleBase):
 
     def __init__(self, policy: Policy, layout: Layout, config: DictConfig) -> None:
         super().__init__()
-        self.in_keys = list(policy.in_keys)
-        self.out_keys = ["action", *([("next", STATE)] if policy.state_width else [])]
+        self.in_keys = list(policy.in_keys)  # pyright: ignore[reportAttributeAccessIssue]
+        kept = [("next", STATE)] if policy.state_width else []
+        self.out_keys = ["action", *kept]  # pyright: ignore[reportAttributeAccessIssue]
         self.policy, self.layout, self.config = policy, layout, config
 
     @torch.no_grad()

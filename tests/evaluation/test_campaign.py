@@ -18,7 +18,7 @@ from resc.evaluation.suites import Amount
 from resc.flying.pilot import Pilot, PolicyPilot
 from resc.flying.pursuit import Pursuit
 from resc.planning.trajectory import Trajectory
-from resc.policies.stored import Policy
+from resc.policies.stored import StoredPolicy
 from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import digest
 
@@ -117,7 +117,7 @@ def test_a_recording_names_the_command_and_the_policy(run, policy):
     folder, _ = run
     metadata = RolloutLog(folder / "rollouts").metadata
     assert metadata["overrides"] == "flights=2 seed=4"
-    assert metadata["policy_sha256"] == digest(policy.head)
+    assert metadata["policy_sha256"] == digest(policy.policy)
     assert metadata["seed"] == "4"
     assert len(metadata["git_commit"]) == 40
 
@@ -172,7 +172,7 @@ def test_run_stores_its_configuration_and_is_the_latest(run):
 
 
 def test_refused_policy_leaves_no_summary(evaluation, policy, stored, tmp_path):
-    wrong = Policy(policy.head, (("compass", 2), *policy.layout[1:]), stored)
+    wrong = StoredPolicy(policy.policy, (("compass", 2), *policy.layout[1:]), stored)
     with pytest.raises(CheckpointError, match="compass"):
         evaluate(evaluation("flights=1"), wrong, SCENES, tmp_path)
     assert not (tmp_path / "summary.json").exists()

@@ -7,7 +7,7 @@ from resc import keys
 from resc.errors import CheckpointError
 from resc.evaluation.courses import lay_out
 from resc.evaluation.setting import build_flying_env, settings_for
-from resc.policies.stored import Policy
+from resc.policies.stored import StoredPolicy
 
 FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
 
@@ -73,4 +73,4 @@ def test_policy_of_another_observation_is_refused(evaluation, stored, policy):
     env = build_flying_env([course], settings_for(evaluation(), stored, own_routes=True))
     wrong = (policy.layout[0], ("compass", 2), *policy.layout[2:])
     with pytest.raises(CheckpointError, match=f"compass .*{policy.layout[1][0]}"):
-        Policy(policy.head, wrong, stored).require_layout(env.stages)
+        StoredPolicy(policy.policy, wrong, stored).require_layout(env.stages)

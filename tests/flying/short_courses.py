@@ -7,12 +7,15 @@ from typing import Any
 import pytest
 import torch
 from omegaconf import DictConfig, OmegaConf
-from torch import Tensor, nn
+from torch import Tensor
 
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.evaluation.courses import Course, lay_out
 from resc.evaluation.setting import build_flying_env, settings_for
 from resc.planning.route import RoutePlanner, planner_for
+from resc.policies.heads import Gaussian
+from resc.policies.networks import Mlp
+from resc.policies.policy import Policy
 from resc.policies.stored import StoredPolicy
 from resc.setup import build_stages
 
@@ -29,11 +32,12 @@ CORRIDOR = {
 """A wall to fly round: about 4 m."""
 
 
-class Pilot(nn.Module):
+class Pilot(Policy):
     """Flies to the control point ahead: proportional control of velocity, attitude, body rates."""
 
     def __init__(self, layout: tuple[tuple[str, int], ...]) -> None:
-        super().__init__()
+        width = sum(width for _, width in layout)
+        super().__init__(Mlp(hidden=[]), Gaussian(4), width)
         ends = torch.tensor([width for _, width in layout]).cumsum(0).tolist()
         self.at = {
             name: slice(end - width, end) for (name, width), end in zip(layout, ends, strict=True)

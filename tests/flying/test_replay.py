@@ -7,6 +7,7 @@ import torch
 
 from resc import keys
 from resc.errors import ConfigError, RecordingError
+from resc.flying.episodes import RENEWED
 from resc.flying.replay import (
     compare,
     environment_in,
@@ -17,7 +18,6 @@ from resc.flying.replay import (
     replay,
 )
 from resc.learning.assemble import build_trainer
-from resc.learning.ppo import RENEWED
 from resc.learning.progress import CsvLogger, ProgressTable
 from resc.learning.training import train
 from resc.recording.reader import RolloutLog
