@@ -148,9 +148,9 @@ def test_our_trainer_and_gymnasium_take_no_transforms():
 import resc
 from torchrl.envs import RewardSum, TransformedEnv
 from resc.envs.gymnasium_env import QuadrotorGymEnv
-from resc.learning.ppo import Ppo
+from resc.learning.trainer import Trainer
 env = TransformedEnv(resc.make_env(num_envs=1, pool_size=1), RewardSum())
-for taken in (lambda: Ppo(env, None, None, total_frames=1), lambda: QuadrotorGymEnv(env)):
+for taken in (lambda: Trainer(env, None), lambda: QuadrotorGymEnv(env)):
     try:
         taken()
     except resc.errors.CallError as error:
