@@ -5,6 +5,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from resc.places import EVALUATE, INSTALLED, TRAIN
+
 Value = str | Path | int | float | None | Sequence[str]
 
 _PLAIN = re.compile(r"[A-Za-z0-9_./-]*/[A-Za-z0-9_./-]*")
@@ -24,7 +26,13 @@ def override(key: str, value: Value) -> str:
 
 def command(script: str, overrides: Mapping[str, Value]) -> str:
     """The line that starts a script, such as `python train.py resume=runs/latest_train`."""
-    return shell("python", script, *(override(key, value) for key, value in overrides.items()))
+    return shell(*starting(script), *(override(key, value) for key, value in overrides.items()))
+
+
+def starting(script: str) -> tuple[str, ...]:
+    """The words that start a script here: `python train.py`, or `resc-train` from a wheel."""
+    ours = INSTALLED and script in (TRAIN.name, EVALUATE.name)
+    return (f"resc-{Path(script).stem}",) if ours else ("python", script)
 
 
 def shell(*words: str | Path) -> str:

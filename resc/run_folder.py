@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from resc.errors import ConfigError, RescError
+from resc.places import INSTALLED
 
 RUNS = "runs"
 LATEST = "latest"
@@ -133,6 +134,8 @@ def provenance() -> dict[str, str]:
 
 def git(*arguments: str) -> str:
     """What git says of RESC's own repository; nothing where there is none, or no quick git."""
+    if INSTALLED:  # a repository around it would be another one
+        return ""
     command: list[Any] = ["git", "-C", Path(__file__).parent, *arguments]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from resc.command_line import override, shell
+from resc.command_line import override, shell, starting
 from resc.errors import ConfigError
 from resc.moved import today
 from resc.run_folder import CONFIG, JOB, ORIGIN, sweep_of
@@ -55,7 +55,7 @@ def go_on(folder: Path, allowed: Sequence[str] = ()) -> str:
     permitted = [override(PERMISSION, allowed)] if allowed else []
     if is_sweep(folder):
         permitted = permissions(arguments_of(folder))
-    return shell("python", "train.py", override("resume", folder), *permitted)
+    return shell(*starting("train.py"), override("resume", folder), *permitted)
 
 
 def permissions(arguments: Sequence[str]) -> list[str]:
@@ -76,7 +76,8 @@ def arguments_of(sweep: Path) -> list[str]:
     """The arguments of the command that began a sweep; empty if they were not written down."""
     command = origin_of(sweep).get("command", "")
     try:
-        return shlex.split(command)[2:]
+        words = shlex.split(command)
+        return words[1:] if words and words[0].startswith("resc-") else words[2:]
     except ValueError:
         raise ConfigError(
             f"{sweep / ORIGIN} holds no command: {command}; start a new sweep."

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-from resc.command_line import shell
+from resc.command_line import shell, starting
 from resc.errors import ConfigError
 from resc.run_folder import CHECKPOINT, CONFIG, ORIGIN, git
 from resc.sweep_folder import arguments_of, go_on, origin_of
@@ -121,7 +121,7 @@ def note_origin(folder: Path, overrides: Sequence[str]) -> None:
 def facts() -> dict[str, str]:
     """Which command, directory, commit and machine a run or a sweep is from."""
     found = {
-        "command": shell("python", Path(sys.argv[0]).name, *sys.argv[1:]),
+        "command": shell(*starting(Path(sys.argv[0]).name), *sys.argv[1:]),
         "directory": str(Path.cwd()),
         "commit": git("rev-parse", "--short=12", "HEAD") or "unknown",
         "machine": f"{_processor()}, {len(os.sched_getaffinity(0))} cores, {platform.system()}",
