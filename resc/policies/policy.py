@@ -73,8 +73,8 @@ class Policy(ProbabilisticTensorDictSequential):
 
     @torch.no_grad()
     def decide(
-        self, observation: Float[Tensor, "n d"], state: Float[Tensor, "n 1 m"] | None = None
-    ) -> tuple[Float[Tensor, "n a"], Float[Tensor, "n 1 m"] | None]:
+        self, observation: Float[Tensor, "*n d"], state: Float[Tensor, "n 1 m"] | None = None
+    ) -> tuple[Float[Tensor, "*n a"], Float[Tensor, "n 1 m"] | None]:
         """The most likely action, clipped to [-1, 1], and what to remember until the next step.
 
         `state` is None at the first step of an episode, and always for one that remembers nothing.
