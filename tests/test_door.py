@@ -90,7 +90,7 @@ print({kind.__name__ for kind in Singleton._instances} & {"GlobalHydra", "HydraC
 """
     command = [sys.executable, "-c", asked]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert (done.stdout, done.stderr) == ("set()\n", "")
+    assert done.stdout == "set()\n", done.stderr
 
 
 def test_an_environment_is_that_of_training_wherever_it_is_made(make_env, tmp_path, monkeypatch):

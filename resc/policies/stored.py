@@ -60,7 +60,8 @@ class StoredPolicy(TensorDictModuleBase):
     ) -> Float[Tensor, "*n a"] | TensorDictBase:
         """The action [n, a] for observations [n, d] of first steps, or the TensorDict with it."""
         if not isinstance(observation, TensorDictBase):
-            return self.policy.decide(observation)[0]
+            rows = observation.reshape(-1, observation.shape[-1])
+            return self.policy.decide(rows)[0].unflatten(0, observation.shape[:-1])
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             out = self.policy(observation.select(*self.in_keys))
         out["action"] = out["action"].clamp(-1, 1)
