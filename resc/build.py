@@ -158,24 +158,32 @@ def build_term(node: Any, path: str, allowed: Iterable[str], kind: type[Term]) -
             raise ConfigError(f"{path}.optional is {node['optional']!r}; expected true or false.")
         term.optional = node["optional"]
         return term
-    if not isinstance(node, Mapping) or "difficulty" not in node:
-        return build(node, path, allowed=allowed, kind=kind)
-    eased = node["difficulty"]
-    rest = {key: value for key, value in node.items() if key != "difficulty"}
+    rest, eased = without_difficulty(node, path)
     term = build(rest, path, allowed=allowed, kind=kind)
-    if eased is None:
-        return term
-    if not getattr(term, "eases", False):
+    if eased is not None and not getattr(term, "eases", False):
         raise ConfigError(
             f"{path}.difficulty is {eased!r}, but {type(term).__name__} has nothing that a "
             "difficulty eases; drop it."
         )
-    if not isinstance(eased, str):
+    if eased is not None:
+        term.difficulty = eased
+    return term
+
+
+def without_difficulty(node: Any, path: str) -> tuple[Any, str | None]:
+    """A node without `difficulty`, which is no argument of its class, and what that names.
+
+    Raises:
+        ConfigError: It is no name.
+    """
+    if not isinstance(node, Mapping) or "difficulty" not in node:
+        return node, None
+    eased = node["difficulty"]
+    if not isinstance(eased, str | None):
         raise ConfigError(
             f"{path}.difficulty is {eased!r}; expected the name of a difficulty, such as obstacles."
         )
-    term.difficulty = eased
-    return term
+    return {key: value for key, value in node.items() if key != "difficulty"}, eased
 
 
 def _arguments_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:

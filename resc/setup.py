@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from resc import keys
-from resc.build import build, build_term, build_terms, plain, resolved
+from resc.build import build, build_term, build_terms, plain, resolved, without_difficulty
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError
@@ -92,11 +92,16 @@ def build_scene(
     allowed: Iterable[str] = (),
 ) -> Scene:
     """The scene that a node describes, if a pool of `size` of them has room on the device."""
-    scene = build(node, "scene", allowed=allowed, kind=Scene)
+    scene = scene_of(node, "scene", allowed)
     some = scene.sample(PROBED, generator_for(seed, "scene_layout"))
     require_room(size, some.size, resolution_m, device)
     _require_boxes(scene, some)
     return scene
+
+
+def scene_of(node: Any, path: str, allowed: Iterable[str] = ()) -> Scene:
+    """The scene that a node describes; what eases it is the pool's to know."""
+    return build(without_difficulty(node, path)[0], path, allowed=allowed, kind=Scene)
 
 
 def build_stages(config: Mapping[str, Any]) -> Stages:
@@ -128,7 +133,7 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
         longest_delay_steps=terms.action.longest_delay_steps,
         clearance_m=kept,
     )
-    return Stages(terms, context, scene.get("difficulty"))
+    return Stages(terms, context, without_difficulty(scene, "scene")[1])
 
 
 def _build_group(group: Group, node: Any, allowed: Iterable[str]) -> Any:

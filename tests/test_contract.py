@@ -30,6 +30,7 @@ from resc.planning.route import planner_for
 from resc.policies.heads import Gaussian
 from resc.policies.networks import Model
 from resc.policies.policy import Policy
+from resc.setup import scene_of
 from resc.simulation.vehicle import Vehicle
 
 CONF = Path(__file__).parents[1] / "conf"
@@ -271,7 +272,7 @@ def test_the_same_seed_flies_the_same_bits_and_a_restart_touches_its_row_only(fl
 @pytest.mark.parametrize("name", names("search"))
 def test_a_search_lays_finite_control_points(compose, name):
     config = compose(f"search={name}", "scene=random_boxes")
-    layout = build(config["scene"], "scene").sample(1, torch.Generator().manual_seed(0))
+    layout = scene_of(config["scene"], "scene").sample(1, torch.Generator().manual_seed(0))
     planner = planner_for(search=config["search"], task=config["task"], env=config["env"])
     planned, again = planner(layout), planner(layout)
     assert planned.route_w.isfinite().all()
@@ -350,7 +351,7 @@ def test_a_curriculum_gives_difficulties_between_zero_and_one(load_part, name):
 @pytest.mark.parametrize("name", names("scene"))
 @pytest.mark.parametrize("count", [1, 5])
 def test_a_scene_lays_out_finite_scenes(load_part, name, count):
-    scene = build(load_part("scene", name), "scene")
+    scene = scene_of(load_part("scene", name), "scene")
     layout, again = (scene.sample(count, torch.Generator().manual_seed(0)) for _ in range(2))
     assert len(layout) == count
     fields = ("boxes_w", "pillars_w", "origin_w", "size", "start_w", "route_w", "route_length")

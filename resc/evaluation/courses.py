@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from resc.build import build
 from resc.errors import ConfigError
 from resc.evaluation.suites import Amount
 from resc.maps.cells import require_room
@@ -17,6 +16,7 @@ from resc.math.sampling import generator_for, uniform
 from resc.planning.route import RoutePlanner
 from resc.scenes.layout import Layout, Scene, concatenate, rows, sampled
 from resc.scenes.random_maps import RandomMaps
+from resc.setup import scene_of
 
 TYPICAL_CELL_M = 0.1
 """Edge of a map cell where no planner tells it."""
@@ -140,7 +140,7 @@ def drawn(
     Raises:
         ConfigError: See `lay_out`.
     """
-    scene = build(node, f"scene.{name}", allowed=allowed, kind=Scene)
+    scene = scene_of(node, f"scene.{name}", allowed)
     maps = isinstance(scene, RandomMaps)
     flights = amount.drawn * amount.flights_a_map if maps else amount.flights
     if flights < 1:

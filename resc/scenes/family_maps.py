@@ -22,7 +22,6 @@ class FamilyMaps(RandomMaps):
         start_m: x, y, z of the start.
         goal_m: x, y, z of the goal.
         jitter_m: Greatest offset of the start along each axis.
-        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
@@ -34,7 +33,6 @@ class FamilyMaps(RandomMaps):
         start_m: Sequence[Number],
         goal_m: Sequence[Number],
         jitter_m: NotNegative = 0.0,
-        difficulty: str | None = None,
     ) -> None:
         super().__init__(
             origin_m=(0.0, 0.0),
@@ -42,7 +40,6 @@ class FamilyMaps(RandomMaps):
             start_m=start_m,
             goal_m=goal_m,
             jitter_m=jitter_m,
-            difficulty=difficulty,
         )
         side_m = edge_m - 2 * margin_m
         if side_m <= 0:

@@ -29,7 +29,6 @@ class NamedScene:
             y first, `#` occupied and `.` free, or the path of a .npy file of Booleans.
         cell_m: Edge of its cells; needed with a grid.
         corner_m: Its lower-left corner; that of the map if not given.
-        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
@@ -45,7 +44,6 @@ class NamedScene:
         occupancy: Sequence[str] | str | None = None,
         cell_m: Positive | None = None,
         corner_m: Sequence[Number] | None = None,
-        difficulty: str | None = None,
     ) -> None:
         for number, box in enumerate(boxes):
             if len(box) != 4 or min(box[2:]) <= 0:
@@ -96,7 +94,6 @@ class NamedScene:
         self.origin_m = torch.tensor(list(origin_m), dtype=torch.float32)
         self.size_m = torch.tensor(list(size_m), dtype=torch.float32)
         self.jitter_m = jitter_m
-        self.difficulty = difficulty
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """The same map `count` times, starts jittered."""

@@ -41,7 +41,6 @@ class PillarForest(RandomMaps):
         start_m: x, y, z of the start.
         goal_m: x, y, z of the goal.
         jitter_m: Greatest offset of the start along each axis.
-        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
@@ -57,7 +56,6 @@ class PillarForest(RandomMaps):
         start_m: Sequence[Number] = (0.0, 0.0, 1.0),
         goal_m: Sequence[Number] = (16.0, 0.0, 1.0),
         jitter_m: NotNegative = 0.0,
-        difficulty: str | None = None,
     ) -> None:
         super().__init__(
             origin_m=origin_m,
@@ -65,7 +63,6 @@ class PillarForest(RandomMaps):
             start_m=start_m,
             goal_m=goal_m,
             jitter_m=jitter_m,
-            difficulty=difficulty,
         )
         require_ranges(radius_m=radius_m)
         if len(forest_m) != 4 or min(forest_m[2:]) <= 0:

@@ -43,7 +43,6 @@ class PlannedScenes:
         height_m: Flight height.
         height_spread_m: Start and control points differ by up to this from it.
         tries: How often the map of a scene is drawn before its family is given up.
-        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
@@ -61,7 +60,6 @@ class PlannedScenes:
         height_m: Positive = 1.0,
         height_spread_m: NotNegative = 0.1,
         tries: Count = 100,
-        difficulty: str | None = None,
     ) -> None:
         require_ranges(clearance_m=clearance_m)
         self.side_m = size_m - 2 * margin_m
@@ -81,7 +79,6 @@ class PlannedScenes:
         self.height_m = height_m
         self.height_spread_m = height_spread_m
         self.tries = tries
-        self.difficulty = difficulty
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """Maps with a start and a goal, but no promise of a route between them."""

@@ -29,7 +29,6 @@ class RandomBoxes(RandomMaps):
         goal_m: x, y, z of the goal.
         keep_clear_m: Free radius around start and goal.
         jitter_m: Greatest offset of the start along each axis.
-        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
@@ -42,7 +41,6 @@ class RandomBoxes(RandomMaps):
         goal_m: Sequence[Number] = (12.0, 4.0, 1.0),
         keep_clear_m: NotNegative = 0.6,
         jitter_m: NotNegative = 0.0,
-        difficulty: str | None = None,
     ) -> None:
         if boxes < 1:
             raise ConfigError(f"boxes is {boxes}; expected at least 1.")
@@ -59,7 +57,6 @@ class RandomBoxes(RandomMaps):
             start_m=start_m,
             goal_m=goal_m,
             jitter_m=jitter_m,
-            difficulty=difficulty,
         )
         self.boxes = boxes
         self.side_m = side_m

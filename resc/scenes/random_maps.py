@@ -23,7 +23,6 @@ class RandomMaps(ABC):
         start_m: x, y, z of the start.
         goal_m: x, y, z of the goal.
         jitter_m: Greatest offset of the start along each axis.
-        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
 
     Raises:
         ConfigError: The start or the goal is outside the map.
@@ -37,7 +36,6 @@ class RandomMaps(ABC):
         start_m: Sequence[Number],
         goal_m: Sequence[Number],
         jitter_m: NotNegative = 0.0,
-        difficulty: str | None = None,
     ) -> None:
         lists = {"origin_m": (origin_m, 2), "size_m": (size_m, 2)}
         ends = {"start_m": (start_m, 3), "goal_m": (goal_m, 3)}
@@ -55,7 +53,6 @@ class RandomMaps(ABC):
         self.start_m = torch.tensor(list(start_m), dtype=torch.float32)
         self.goal_m = torch.tensor(list(goal_m), dtype=torch.float32)
         self.jitter_m = jitter_m
-        self.difficulty = difficulty
 
     @property
     def law(self) -> str:

@@ -42,7 +42,6 @@ class TrainingScene:
         detour_m: Greatest sideways bulge of the guarded path.
         guard_m: Free radius around the guarded path.
         start_guard_m: Free radius around the start, where the vehicle may be fast already.
-        difficulty: Name of the difficulty that eases it (see `resc.scenes.difficulty`).
     """
 
     def __init__(
@@ -63,7 +62,6 @@ class TrainingScene:
         detour_m: NotNegative = 0.8,
         guard_m: NotNegative = 0.45,
         start_guard_m: NotNegative = 0.6,
-        difficulty: str | None = None,
     ) -> None:
         if points < 1 or not 0 <= boxes <= proposals:
             raise ConfigError(
@@ -96,7 +94,6 @@ class TrainingScene:
         self.detour_m = detour_m
         self.guard_m = guard_m
         self.start_guard_m = start_guard_m
-        self.difficulty = difficulty
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """Lays out `count` scenes; a box too near the guarded path is left out."""

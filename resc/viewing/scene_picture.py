@@ -20,6 +20,7 @@ from resc.math.sampling import generator_for
 from resc.places import CONF, HOME
 from resc.planning.route import RoutePlanner
 from resc.scenes.layout import Layout, sampled
+from resc.setup import scene_of
 from resc.viewing.colours import BACKGROUND, DASHES, PLAN, TEXT
 from resc.viewing.map_picture import draw_obstacles
 
@@ -41,7 +42,7 @@ def draw(path: Path, scene: Mapping[str, Any], examples: int, allowed: list[str]
         len(rows), examples, figsize=size, squeeze=False, layout="constrained"
     )
     for (name, node), line in zip(rows.items(), grid, strict=True):
-        one = build({**scene, **WHOLE, "families": {name: node}}, "scene", allowed=allowed)
+        one = scene_of({**scene, **WHOLE, "families": {name: node}}, "scene", allowed)
         layout = sampled(one, examples, generator_for(0, f"picture/{name}"), planner)
         for number, axes in enumerate(line):
             _draw_one(axes, layout, number)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from resc.build import build
 from resc.errors import ConfigError
 from resc.flying.held_out import (
     density_near_route,
@@ -13,6 +12,7 @@ from resc.flying.held_out import (
     write_episodes,
 )
 from resc.scenes.pool import ScenePool
+from resc.setup import scene_of
 
 EPISODES = {
     "scene": np.arange(3),
@@ -65,7 +65,7 @@ def test_density_counts_the_cells_within_a_metre_and_a_half_of_the_route(compose
         length = torch.ones_like(layout.route_length)
         return type(layout)(**{**vars(layout), "route_length": length})
 
-    scene = build(config["scene"], "scene")
+    scene = scene_of(config["scene"], "scene")
     pool = ScenePool(scene, size=2, resolution_m=0.1, generator=torch.Generator(), plan=straight)
     lane = 4.0 * 3.0 + np.pi * 1.5**2
     share = float(density_near_route(pool)[0])

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
-from resc.build import build
 from resc.errors import PlanningError
 from resc.maps import cpu_kernels
 from resc.maps.cells import cells_of, extent_of, shape_of
@@ -17,6 +16,7 @@ from resc.maps.ray_casting import rays, rays_in_torch
 from resc.planning.route import RoutePlanner
 from resc.scenes.named import NamedScene
 from resc.scenes.pool import ScenePool
+from resc.setup import scene_of
 from resc.term import Context
 from resc.terms.terminations.out_of_map import OutOfMap
 
@@ -166,7 +166,7 @@ def test_both_ray_casters_agree_on_maps_of_any_size(width, height, edge, seed):
 @pytest.mark.parametrize("name", ["training", "random_boxes", "paper1_map11", "paper3_map13"])
 def test_the_maps_of_conf_keep_their_size_to_the_bit(load_part, name):
     node = OmegaConf.create(load_part("scene", name))
-    size = build(node, "scene").sample(1, torch.Generator().manual_seed(0)).size
+    size = scene_of(node, "scene").sample(1, torch.Generator().manual_seed(0)).size
     assert torch.equal(extent_of(size, 0.1), size)
     assert torch.equal(cells_of(size, 0.1), (size / 0.1).round().to(torch.int64))
 

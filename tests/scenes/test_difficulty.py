@@ -4,16 +4,18 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from resc.build import build
 from resc.scenes.difficulty import eased
 from resc.scenes.layout import PARKED_M, Layout, rasterize
+from resc.setup import scene_of
 
 SCENES = ("training", "random_boxes", "paper3_map13")
 COUNT = 20
 
 
 def lay_out(load_part, name):
-    return build(load_part("scene", name), "scene").sample(COUNT, torch.Generator().manual_seed(0))
+    return scene_of(load_part("scene", name), "scene").sample(
+        COUNT, torch.Generator().manual_seed(0)
+    )
 
 
 def at(layout, difficulty):

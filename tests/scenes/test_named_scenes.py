@@ -2,13 +2,13 @@ import pytest
 import torch
 from scipy.ndimage import label
 
-from resc.build import build
 from resc.errors import ConfigError
 from resc.maps.distance_transform import distance_transform
 from resc.math.geometry import box_distance
 from resc.scenes.layout import PARKED_M, rasterize
 from resc.scenes.named import NamedScene
 from resc.scenes.random_boxes import RandomBoxes
+from resc.setup import scene_of
 
 PAPER = ("paper1_map11", "paper2_map12", "paper3_map13", "paper4_map15")
 ROOM = {
@@ -52,7 +52,7 @@ def test_starts_are_jittered_in_the_plane_only():
 
 @pytest.mark.parametrize("name", PAPER)
 def test_the_goals_of_the_paper_maps_can_be_reached_with_the_searchs_clearance(load_part, name):
-    layout = sample(build(load_part("scene", name), "scene"), 20)
+    layout = sample(scene_of(load_part("scene", name), "scene"), 20)
     shape = tuple(round(float(side) / 0.1) for side in layout.size[0].flip(0))
     esdf = distance_transform(
         rasterize(layout.boxes_w[:1], layout.origin_w[:1], shape, 0.1), 0.1, 3.0
@@ -69,7 +69,7 @@ def test_the_goals_of_the_paper_maps_can_be_reached_with_the_searchs_clearance(l
 
 
 def test_random_boxes_stay_on_the_map_and_off_start_and_goal(load_part):
-    layout = sample(build(load_part("scene", "random_boxes"), "scene"), 50)
+    layout = sample(scene_of(load_part("scene", "random_boxes"), "scene"), 50)
     real = layout.boxes_w[..., 0] < PARKED_M
     boxes = layout.boxes_w[real]
     assert (boxes[:, :2] >= torch.tensor([-19.0, -9.0])).all()
@@ -82,7 +82,7 @@ def test_random_boxes_stay_on_the_map_and_off_start_and_goal(load_part):
 
 
 def test_random_boxes_are_random_but_repeatable(load_part):
-    scene = build(load_part("scene", "random_boxes"), "scene")
+    scene = scene_of(load_part("scene", "random_boxes"), "scene")
     first, again = sample(scene), sample(scene)
     assert torch.equal(first.boxes_w, again.boxes_w)
     assert not torch.equal(first.boxes_w[0], first.boxes_w[1])

@@ -4,7 +4,6 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from resc.build import build
 from resc.errors import ConfigError
 from resc.maps.distance_transform import distance_transform
 from resc.math.geometry import pillar_distance
@@ -13,6 +12,7 @@ from resc.scenes.difficulty import eased
 from resc.scenes.layout import NO_BOX, NO_PILLAR, PARKED_M, concatenate, rasterize
 from resc.scenes.named import NamedScene
 from resc.scenes.pool import ScenePool
+from resc.setup import scene_of
 
 STREET = {
     "boxes": [],
@@ -112,7 +112,7 @@ def test_layouts_with_and_without_pillars_are_one_batch():
 
 def test_a_named_scene_of_yaml_may_have_pillars(load_part):
     node = {**load_part("scene", "paper1_map11"), "pillars": [[3.0, 4.5, 0.25]]}
-    layout = build(node, "scene").sample(2, torch.Generator().manual_seed(0))
+    layout = scene_of(node, "scene").sample(2, torch.Generator().manual_seed(0))
     assert_close(layout.pillars_w, torch.tensor([3.0, 4.5, 0.25]).expand(2, 1, 3))
     with pytest.raises(ConfigError, match=r"scene\.pillars\[0\]\[2\] is 'wide'"):
-        build({**node, "pillars": [[3.0, 4.5, "wide"]]}, "scene")
+        scene_of({**node, "pillars": [[3.0, 4.5, "wide"]]}, "scene")

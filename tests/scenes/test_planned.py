@@ -6,7 +6,6 @@ from itertools import pairwise
 import pytest
 import torch
 
-from resc.build import build
 from resc.errors import ConfigError
 from resc.maps.cells import shape_of
 from resc.math.geometry import box_distance, pillar_distance
@@ -14,6 +13,7 @@ from resc.planning.route import RoutePlanner
 from resc.scenes.family import Family, Obstacles
 from resc.scenes.layout import NO_PILLAR, PARKED_M
 from resc.scenes.pool import ScenePool
+from resc.setup import scene_of
 
 FAMILIES = ("forest", "walls", "rooms", "gaps", "mixture")
 COUNT = 40
@@ -51,7 +51,7 @@ def planned(load_part):
     def make(family=None, **numbers):
         node = load_part("scene", "planned")
         families = node.families if family is None else {family: node.families[family]}
-        return build({**node, "families": families, **numbers}, "scene")
+        return scene_of({**node, "families": families, **numbers}, "scene")
 
     return make
 
@@ -125,7 +125,7 @@ def test_a_family_left_out_by_null_draws_nothing(planned, load_part):
 
 
 def test_a_family_without_a_free_route_is_named_with_its_tries():
-    scene = build(
+    scene = scene_of(
         {
             "_target_": "resc.scenes.planned.PlannedScenes",
             "families": {"solid": {"_target_": f"{__name__}.Solid"}},
@@ -143,10 +143,10 @@ def test_a_family_of_ones_own_is_a_line_of_yaml():
         "_target_": "resc.scenes.planned.PlannedScenes",
         "families": {"mine": {"_target_": f"{__name__}.Solid", "left_m": 8.0, "fence": 0.0}},
     }
-    layout = lay_out(build(node, "scene", allowed=[__name__]), 5)
+    layout = lay_out(scene_of(node, "scene", allowed=[__name__]), 5)
     assert torch.equal(layout.boxes_w[:, 4], torch.tensor([9.0, 1.0, 12.0, 12.0]).expand(5, 4))
     with pytest.raises(ConfigError, match=r"scene\.families\.mine\._target_ .*allowed_targets"):
-        build(node, "scene")
+        scene_of(node, "scene")
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,12 @@ import pytest
 import torch
 
 from resc import keys
-from resc.build import build
 from resc.errors import ConfigError
 from resc.maps.distance_transform import distance_transform
 from resc.math.sampling import generator_for
 from resc.scenes.layout import PARKED_M, Layout, rasterize
 from resc.scenes.pool import LAID_OUT, ScenePool
-from resc.setup import set_up
+from resc.setup import scene_of, set_up
 
 
 def make_pool(compose, *overrides, size=12, **options):
@@ -110,7 +109,7 @@ def test_scenes_with_nothing_but_a_goal_need_a_planner(compose, scene):
 
 @pytest.mark.parametrize("scene", ["paper1_map11", "random_boxes"])
 def test_planned_scenes_can_be_renewed(compose, scene):
-    made = build(compose(f"scene={scene}")["scene"], "scene")
+    made = scene_of(compose(f"scene={scene}")["scene"], "scene")
     planned = {"generator": torch.Generator(), "plan": straight_to_the_goal}
     pool = ScenePool(made, size=4, resolution_m=0.1, **planned)
     before = pool.tasks[keys.START_W].clone()
@@ -147,7 +146,7 @@ def test_routes_of_renewed_scenes_are_padded_and_those_without_room_left_out(com
         route = layout.start_w.unsqueeze(1) + torch.arange(float(length.max())).reshape(1, -1, 1)
         return Layout(layout.boxes_w, layout.origin_w, layout.size, layout.start_w, route, length)
 
-    scene = build(compose("scene=paper1_map11").scene, "scene")
+    scene = scene_of(compose("scene=paper1_map11").scene, "scene")
     pool = ScenePool(scene, size=4, resolution_m=0.1, generator=torch.Generator(), plan=plan)
     old = pool.tasks[keys.START_W][1].clone()
     assert pool.renew(2).tolist() == [0]
@@ -159,7 +158,7 @@ def test_routes_of_renewed_scenes_are_padded_and_those_without_room_left_out(com
 
 def layered(compose, *overrides, levels=(0.0, 0.5, 1.0), size=12):
     config = compose("scene=training", *overrides)
-    scene = build(config.scene, "scene")
+    scene = scene_of(config.scene, "scene")
     generator = generator_for(3, "scene_layout")
     return ScenePool(scene, size=size, resolution_m=0.1, generator=generator, levels=levels)
 

@@ -5,11 +5,11 @@ import math
 import pytest
 import torch
 
-from resc.build import build
 from resc.errors import ConfigError
 from resc.planning.route import planner_for
 from resc.scenes.layout import PARKED_M, rows
 from resc.scenes.pillar_forest import PillarForest
+from resc.setup import scene_of
 
 
 def sample(scene, count=4, seed=0):
@@ -19,7 +19,7 @@ def sample(scene, count=4, seed=0):
 @pytest.fixture
 def scene(load_part):
     """`scene(name, **changes)`: a file of conf/scene, built."""
-    return lambda name, **changes: build({**load_part("scene", name), **changes}, "scene")
+    return lambda name, **changes: scene_of({**load_part("scene", name), **changes}, "scene")
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,12 @@ import pytest
 import torch
 from scipy.ndimage import label
 
-from resc.build import build
 from resc.errors import ConfigError
 from resc.maps.distance_transform import distance_transform
 from resc.math.geometry import box_distance
 from resc.scenes.layout import PARKED_M, rasterize
 from resc.scenes.training import TrainingScene
+from resc.setup import scene_of
 
 SCENES = 300
 COLLIDES_M = 0.3
@@ -22,7 +22,7 @@ ROUTES = {
 
 
 def lay_out(load_part, **changes):
-    scene = build({**load_part("scene", "training"), **changes}, "scene")
+    scene = scene_of({**load_part("scene", "training"), **changes}, "scene")
     return scene.sample(SCENES, torch.Generator().manual_seed(0))
 
 
@@ -106,7 +106,9 @@ def test_the_number_of_boxes_varies_up_to_the_wanted_one():
 
 
 def test_free_scenes_hold_no_box(load_part):
-    free = build(load_part("scene", "free"), "scene").sample(10, torch.Generator().manual_seed(0))
+    free = scene_of(load_part("scene", "free"), "scene").sample(
+        10, torch.Generator().manual_seed(0)
+    )
     assert (free.boxes_w[..., :2] == PARKED_M).all()
     assert (free.route_length > 0).all()
 
