@@ -7,6 +7,7 @@ error names neither the term nor what it should have given.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -45,7 +46,7 @@ def watched(terms: Sequence[Term], batch: int = COUNT) -> Iterator[None]:
     """Within it, every `compute` of the terms checks what it is given and what it gives."""
     for term in terms:
         _require_names(term)
-        vars(term)["compute"] = _watching(term, batch)
+        vars(term)["compute"] = partial(_checked, term, term.compute, batch)
     try:
         yield
     finally:
@@ -60,18 +61,13 @@ def _fly(stages: Stages, pool: ScenePool, device: torch.device) -> None:
     tasks = {key: value[some] for key, value in pool.tasks.items()}
     generator = torch.Generator().manual_seed(0)
 
-    def drawn(widths: dict[str, int]) -> dict[str, Tensor]:
-        return {
-            name: torch.rand(COUNT, width, generator=generator).to(device)
-            for name, width in widths.items()
-        }
-
     full = {name: torch.ones(1, 1, device=device) for name in stages.difficulties}
-    at_reset = drawn(stages.reset_draws | stages.step_draws)
+    at_reset = _drawn(stages.reset_draws | stages.step_draws, generator, device)
     world, _ = stages.restart(tasks, entries, shared, at_reset, full)
     for step in range(STEPS):
         action = 2 * torch.rand(COUNT, stages.terms.action.width, generator=generator) - 1
-        world, out = stages.step(world, shared, action.to(device), drawn(stages.step_draws))
+        draws = _drawn(stages.step_draws, generator, device)
+        world, out = stages.step(world, shared, action.to(device), draws)
         if step == 0 and len(pool) >= COUNT and out.done.all():
             ends = ", ".join(sorted({stages.outcomes[int(code)] for code in out.outcome}))
             raise ConfigError(
@@ -80,30 +76,37 @@ def _fly(stages: Stages, pool: ScenePool, device: torch.device) -> None:
             )
 
 
-def _watching(term: Term, batch: int) -> Callable[..., Tensor | tuple[Tensor, ...]]:
-    compute = term.compute
+def _drawn(
+    widths: dict[str, int], generator: torch.Generator, device: torch.device
+) -> dict[str, Tensor]:
+    return {
+        name: torch.rand(COUNT, width, generator=generator).to(device)
+        for name, width in widths.items()
+    }
 
-    def checked(*given: Tensor) -> Tensor | tuple[Tensor, ...]:
-        before = [None if value.numel() > LARGE else value.clone() for value in given]
-        versions = [value._version for value in given]
-        try:
-            result = compute(*given)
-        except RescError as error:
-            raise ConfigError(f"{term.path}: {error}") from None
-        except Exception as error:  # whatever a user's lines raise is theirs to know
-            raise ConfigError(_failure(term, given, error)) from error
-        values = result if isinstance(result, tuple) else (result,)
-        _require_unchanged(term, given, before, versions)
-        if len(values) != len(term.outputs):
-            raise ConfigError(
-                f"{term.path} gives {len(values)} tensors; expected {len(term.outputs)}, one for "
-                f"each key it writes: {', '.join(map('.'.join, term.outputs))}."
-            )
-        for key, value in zip(term.outputs, values, strict=True):
-            _require_fit(term, key, value, batch, given)
-        return result
 
-    return checked
+def _checked(
+    term: Term, compute: Callable[..., object], batch: int, *given: Tensor
+) -> Tensor | tuple[Tensor, ...]:
+    """What a term's `compute` gives, having checked it."""
+    before = [None if value.numel() > LARGE else value.clone() for value in given]
+    versions = [value._version for value in given]
+    try:
+        result = compute(*given)
+    except RescError as error:
+        raise ConfigError(f"{term.path}: {error}") from None
+    except Exception as error:  # whatever a user's lines raise is theirs to know
+        raise ConfigError(_failure(term, given, error)) from error
+    values = result if isinstance(result, tuple) else (result,)
+    _require_unchanged(term, given, before, versions)
+    if len(values) != len(term.outputs):
+        raise ConfigError(
+            f"{term.path} gives {len(values)} tensors; expected {len(term.outputs)}, one for "
+            f"each key it writes: {', '.join(map('.'.join, term.outputs))}."
+        )
+    for key, value in zip(term.outputs, values, strict=True):
+        _require_fit(term, key, value, batch, given)
+    return result
 
 
 def _failure(term: Term, given: Sequence[Tensor], error: Exception) -> str:

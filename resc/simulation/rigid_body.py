@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Annotated
 
 import torch
@@ -106,25 +107,25 @@ class RigidBody(Term):
             mean_thrust, thrust = self._rotors(thrust, target, step_s)
             acceleration_b = mean_thrust.sum(-1, keepdim=True) / mass
             torque = body_torque(mean_thrust, arm, torque_coefficient)
-
-            def derivative(state: State, a: Tensor = acceleration_b, tau: Tensor = torque) -> State:
-                _, v, q, w = state
-                gravity = torch.stack(
-                    (
-                        torch.zeros_like(v[:, 0]),
-                        torch.zeros_like(v[:, 0]),
-                        v[:, 2] * 0 + GRAVITY_MPS2,
-                    ),
-                    -1,
-                )
-                linear = a * rotation.body_z_w(q) - gravity - self.drag_1ps * v
-                return v, linear, rotation.derivative(q, w), angular_acceleration(w, tau, inertia)
-
+            slopes = partial(
+                self._slopes, acceleration_b=acceleration_b, torque=torque, inertia=inertia
+            )
             position, velocity, attitude, body_rate = rk4(
-                derivative, (position, velocity, attitude, body_rate), step_s
+                slopes, (position, velocity, attitude, body_rate), step_s
             )
             attitude = rotation.normalize(attitude)
         return position, velocity, attitude, body_rate, thrust, (velocity - start) / self.dt_s
+
+    def _slopes(
+        self, state: State, acceleration_b: Tensor, torque: Tensor, inertia: Tensor
+    ) -> State:
+        """Derivatives of position, velocity, attitude and body rate, the rotors' effect held."""
+        _, v, q, w = state
+        gravity = torch.stack(
+            (torch.zeros_like(v[:, 0]), torch.zeros_like(v[:, 0]), v[:, 2] * 0 + GRAVITY_MPS2), -1
+        )
+        linear = acceleration_b * rotation.body_z_w(q) - gravity - self.drag_1ps * v
+        return v, linear, rotation.derivative(q, w), angular_acceleration(w, torque, inertia)
 
     def _rotors(self, thrust: Tensor, target: Tensor, step_s: float) -> tuple[Tensor, Tensor]:
         """Mean thrust over a substep and thrust at its end [N]: first-order lag, exact."""
