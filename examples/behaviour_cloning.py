@@ -36,7 +36,7 @@ from resc.process import prepare_process
 from resc.recording import RolloutLog
 from resc.settings import check_settings
 from resc.setup import build_stages
-from resc.starting.launch import CONF, explain
+from resc.starting.launch import CONF, refused
 
 SEES = ("env", "observation")
 """Groups of the configuration that say what the student sees."""
@@ -70,7 +70,7 @@ def main() -> None:
         check_settings(config, schema.TrainSchema)
         clone(args, config)
     except HydraException as error:
-        sys.exit(f"error: {explain(error, 'train')}")
+        sys.exit(f"error: {refused(error, 'train', args.overrides)}")
     except RescError as error:
         sys.exit(f"error: {error}")
 
