@@ -86,7 +86,7 @@ def _drawn(
 
 
 def _checked(
-    term: Term, compute: Callable[..., object], batch: int, *given: Tensor
+    term: Term, compute: Callable[..., Tensor | tuple[Tensor, ...]], batch: int, *given: Tensor
 ) -> Tensor | tuple[Tensor, ...]:
     """What a term's `compute` gives, having checked it."""
     before = [None if value.numel() > LARGE else value.clone() for value in given]
