@@ -19,7 +19,8 @@ EPILOG = """examples:
   resc-log plot runs/latest_train --episode 17 --out crash.png
 
 'resc-log COMMAND --help' describes a command. Exit codes: 0 done, 1 not done or something is wrong
-with the recording, 2 wrong arguments, 130 interrupted."""
+with the recording, 2 wrong arguments, 3 done but for what is said to be left out (recover, merge),
+130 interrupted."""
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -70,7 +70,7 @@ def run_info(given: argparse.Namespace) -> int:
     names = ", ".join(dict.fromkeys(str(path) for path in (log.files[0], log.files[-1])))
     state = "complete" if log.complete else "cut or being written: all but its last batch is read"
     steps, hours = log.num_steps * log.num_envs, log.num_steps * log.num_envs * log.dt_s / 3600
-    again = [str(part) for part in log.superseded]
+    again = [*map(str, log.superseded), *log.lacking]
     facts = {
         f"{len(log.files)} file(s)": f"{names}; {size / 1e6:,.1f} MB, {state}",
         "steps": f"{steps:,} of {log.num_envs:,} environments in {log.num_batches:,} batches, "

@@ -5,7 +5,7 @@ from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from resc.errors import RecordingError
+from resc.errors import ExitCode, RecordingError
 from resc.log_command.arguments import add_command, add_output, add_recording, output
 from resc.recording.location import recordings_at
 from resc.recording.segments import ACTIVE
@@ -28,7 +28,8 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         commands,
         "recover",
         run_recover,
-        "make a cut, damaged or growing file a complete one",
+        "make a cut, damaged or growing file a complete one, and read it back; exit 0: nothing "
+        "is lost, 3: something is, and it says what, 1: nothing can be read",
         "resc-log recover runs/latest_train/rollouts/rollouts_00003.mcap.active --out saved.mcap",
     )
     recovering.add_argument("file", type=Path, metavar="FILE", help="stays as it is")
@@ -66,7 +67,7 @@ def run_check(given: argparse.Namespace) -> int:
 
 
 def run_recover(given: argparse.Namespace) -> int:
-    """Writes what can be read to a new file; 1 if something is lost."""
+    """Writes what can be read to a new file; `UNFINISHED` if something is lost."""
     from resc.recording.rewrite import recover
 
     if given.file.is_dir():
@@ -92,4 +93,4 @@ def _report(done: "Rewritten", path: Path) -> int:
     for loss in done.lost:
         print(f"left out: {loss}")
     print(f"{path}: {done.batches:,} batches, {path.stat().st_size / 1e6:,.1f} MB")
-    return int(bool(done.lost))
+    return ExitCode.UNFINISHED if done.lost else ExitCode.DONE

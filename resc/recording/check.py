@@ -15,7 +15,7 @@ from resc.recording.decode import Arrays, Batch, batches, read_environments
 from resc.recording.location import recordings_at
 from resc.recording.reader import RolloutLog
 from resc.recording.schema import ROLLOUT, Column
-from resc.recording.source import open_source
+from resc.recording.source import Source, open_sources
 from resc.recording.tables import column_names
 
 _ENDS = ("terminated", "truncated", "done")
@@ -76,7 +76,7 @@ def _check_alone(path: Path, done: Checked) -> None:
     """The steps of one file, whatever the others are."""
     part = Checked()
     with _noting(part):
-        if open_source(path) is not None:
+        if open_sources(path):
             _check_steps(RolloutLog(path), part)
     done.batches += part.batches
     done.env_steps += part.env_steps
@@ -87,19 +87,24 @@ def _check_alone(path: Path, done: Checked) -> None:
 
 
 def _check_file(path: Path, done: Checked) -> None:
-    source = open_source(path)
-    if source is None or not source.complete:
+    sources = open_sources(path)
+    if not all(source.complete for source in sources) or not sources:
         done.faults.append(
             f"{path} is not complete: it was cut, is being written, or its summary is damaged; "
             "all that can be read is, and 'recover' makes it a complete file."
         )
-    if source is None:
-        return
-    if source.copy is not None:
+    if any(source.copy is not None for source in sources):
         done.notes.append(
-            f"{path} was written again by another program: it is read whole, but slowly; 'recover' "
-            "makes it a file like RESC's own."
+            f"{path} was written again by another program: it is read slowly; 'recover' makes it a "
+            "file like RESC's own."
         )
+    for source in sources:
+        done.faults += [f"{sentence}." for sentence in source.lacking]
+        _check_source(source, done)
+
+
+def _check_source(source: Source, done: Checked) -> None:
+    path = source.path
     source.attachments()
     counts = {}
     for topic in source.topics:

@@ -26,7 +26,7 @@ from resc.recording.history import Superseded, joined, superseded
 from resc.recording.location import recordings_at
 from resc.recording.schema import Column
 from resc.recording.selection import Selection
-from resc.recording.source import Source, open_source
+from resc.recording.source import Source, open_sources
 from resc.recording.specification import Specification
 from resc.recording.tables import ROWS, as_pandas, episode_table, step_table
 
@@ -49,8 +49,7 @@ class RolloutLog:
     def __init__(self, location: str | Path) -> None:
         paths = recordings_at(location)
         with _one_of(paths):
-            found = [open_source(path) for path in paths]
-        self._sources = [source for source in found if source is not None]
+            self._sources = [source for path in paths for source in open_sources(path)]
         if not self._sources:
             raise RecordingError(
                 f"{location} was cut before the recording began; there is nothing to read."
@@ -78,6 +77,7 @@ class RolloutLog:
         first, count = self.files[0], len(self.files)
         more = f" and {count - 1} more file(s)" if count > 1 else ""
         cut = "" if self.complete else ", cut or being written"
+        cut += ", not all of it there" if self.lacking else ""
         try:
             episodes = f"{len(self):,} episodes"
         except RecordingError:
@@ -90,7 +90,7 @@ class RolloutLog:
     @property
     def files(self) -> list[Path]:
         """The files read, oldest first."""
-        return [source.path for source in self._sources]
+        return list(dict.fromkeys(source.path for source in self._sources))
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -148,6 +148,11 @@ class RolloutLog:
         """Whether all files were completed; the others were cut or are being written."""
         return all(source.complete for source in self._sources)
 
+    @property
+    def lacking(self) -> list[str]:
+        """What another program left out of the files when it wrote them again, a sentence each."""
+        return [sentence for source in self._sources for sentence in source.lacking]
+
     @cached_property
     def superseded(self) -> list[Superseded]:
         """What these files hold and no reader gives: a resumed run recorded it again."""
@@ -175,7 +180,7 @@ class RolloutLog:
         found = self.spans["upper"] - self.spans["lower"]
         steps = np.bincount(self.spans["episode"], found, minlength=len(self._listed))
         complete = steps == self._listed["length"].to_numpy()
-        return self._listed.with_columns(complete=pl.Series(complete, dtype=pl.Boolean))
+        return self._listed.drop("run").with_columns(complete=pl.Series(complete, dtype=pl.Boolean))
 
     def __len__(self) -> int:
         return len(self.episodes)
@@ -307,8 +312,7 @@ class RolloutLog:
     @cached_property
     def runs(self) -> list[str]:
         """The run that each episode is of."""
-        files = {str(source.path): source.run for source in self._sources}
-        return [files[file] for file in self._listed["file"]]
+        return self._listed["run"].to_list()
 
     @cached_property
     def spans(self) -> Shaped[np.ndarray, " s"]:

@@ -1,124 +1,91 @@
-"""Files that another program wrote again: the same messages, in other chunks or in none.
+"""Files that another program wrote again: the same messages or some of them, in any arrangement.
 
 The format leaves indexes, chunks, checksums and the summary to whoever writes a file. The reader
 relies on those of RESC's recorder; of other files it reads a copy, made once, that has them.
 """
 
 import shutil
-import struct
 import tempfile
 import weakref
-import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, NamedTuple
-
-import lz4.frame
-import zstandard
-from mcap.opcode import Opcode
 
 from resc.errors import RecordingError
-from resc.recording import records, wire
-from resc.recording.records import Place, require
-from resc.recording.schema import ROLLOUT, SCHEMA_NAMES
+from resc.recording import wire
+from resc.recording.schema import ROLLOUT, WORLD
 from resc.recording.segments import FileHead, Message, Segment
 from resc.recording.specification import Specification
-
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_LARGEST_CHUNK = 1 << 31
-_CODEC_ERRORS = (zstandard.ZstdError, RuntimeError, MemoryError, EOFError)
-
-
-class Found(NamedTuple):
-    """A message of one of RESC's topics."""
-
-    topic: str
-    log_time: int
-    publish_time: int
-    sequence: int
-    data: bytes
+from resc.recording.walk import Found, Walk
 
 
 @dataclass
 class Copy:
-    """A temporary file with the messages of another, arranged as RESC does; it goes when unused."""
+    """A temporary file with the messages of one run of another, arranged as RESC does.
+
+    It goes when unused. `lacking` says what of the run is not in it, a sentence each.
+    """
 
     path: Path
-    complete: bool
+    specification: Specification
+    complete: bool = False
+    read_to: int | None = None
+    lacking: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         weakref.finalize(self, shutil.rmtree, self.path.parent, ignore_errors=True)
 
 
-@dataclass
-class _Walk:
-    """Reads records one after the other; `complete` once the end of the file was reached."""
+class _Part:
+    """The messages of one run, sorted while they come."""
 
-    file: IO[bytes]
-    size: int
-    complete: bool = False
-    _schemas: dict[int, str] = field(default_factory=dict)
-    _topics: dict[int, str] = field(default_factory=dict)
+    def __init__(self, specification: Specification) -> None:
+        folder = Path(tempfile.mkdtemp(prefix="resc-"))
+        self.copy = Copy(folder / "rollouts_00000.mcap", specification)
+        self._segment = Segment(self.copy.path, FileHead(specification, {}, {}), "lz4")
+        self._begun: dict[int, dict[int, Found]] = {}
+        self._others: dict[str, list[Found]] = {}
 
-    def messages(self) -> Iterator[Found]:
-        """The messages of RESC's topics, up to the first place that makes no sense."""
-        try:
-            for opcode, place in records.records(self.file, self.size):
-                if opcode == Opcode.CHUNK:
-                    yield from self._in_chunk(_uncompressed(self.file, place))
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                    record = records.read_record(self.file, place, Opcode(opcode))
-                    yield from self._record(opcode, record)
-                elif opcode == Opcode.FOOTER:
-                    self.complete = records.ends(self.file, self.size)
-                    return
-        except ValueError:
+    def add(self, found: Found) -> None:
+        """Takes a message; a batch is written as soon as it is whole."""
+        if found.topic != ROLLOUT:
+            self._others.setdefault(found.topic, []).append(found)
             return
+        start_step, env_id = wire.place_of(found.data)
+        batch = self._begun.setdefault(start_step, {})
+        batch[env_id] = found
+        if len(batch) == self.copy.specification.num_envs:
+            _append(self._segment, self._begun.pop(start_step))
 
-    def _in_chunk(self, data: memoryview) -> Iterator[Found]:
-        fields = records.Fields(data)
-        while fields.left:
-            opcode, length = fields.number(1), fields.number()
-            yield from self._record(opcode, fields.take(length))
-
-    def _record(self, opcode: int, record: memoryview) -> Iterator[Found]:
-        fields = records.Fields(record)
-        if opcode == Opcode.SCHEMA:
-            number = fields.number(2)
-            self._schemas[number] = fields.text()
-        elif opcode == Opcode.CHANNEL:
-            number, schema = fields.number(2), fields.number(2)
-            topic = fields.text()
-            # Another program may use one of these topics for messages of its own.
-            if topic in SCHEMA_NAMES and self._schemas.get(schema) == SCHEMA_NAMES[topic]:
-                self._topics[number] = topic
-        elif opcode == Opcode.MESSAGE:
-            require(len(record) >= _MESSAGE.size)
-            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record)
-            if channel in self._topics:
-                data = bytes(record[_MESSAGE.size :])
-                yield Found(self._topics[channel], log_time, publish_time, sequence, data)
+    def finish(self, walk: Walk | None) -> None:
+        """Writes the other messages in order of time, and the summary."""
+        if walk is not None:
+            self.copy.complete, self.copy.read_to = walk.complete, walk.read_to
+        count = self.copy.specification.num_envs
+        self.copy.lacking += [
+            f"the batch from step {step} has {len(self._begun[step])} of {count} environments "
+            "and is left out"
+            for step in sorted(self._begun)
+        ]
+        for topic, messages in self._others.items():
+            unique = {(found.log_time, found.data): found for found in messages}
+            kept = sorted(unique.values(), key=lambda found: found.log_time)
+            self._segment.append(topic, [_message(f) for f in kept], kept[0].publish_time)
+        self._segment.finish()
 
 
 @lru_cache(maxsize=8)
-def arranged(path: Path, changed_ns: int, size: int, specification: Specification) -> Copy:
-    """A copy of a file as RESC writes one; the same for the same file, unless it has `changed_ns`.
+def arranged(
+    path: Path, changed_ns: int, size: int, specification: Specification
+) -> tuple[Copy, ...]:
+    """Copies of the runs in a file as RESC writes them; the same unless it has `changed_ns`.
 
     Raises:
-        RecordingError: There is no room for it.
+        RecordingError: There is no room for them, or it holds what no recorder writes.
     """
     try:
-        folder = Path(tempfile.mkdtemp(prefix="resc-"))
-        copy = Copy(folder / "rollouts_00000.mcap", complete=False)
-        with path.open("rb") as file:
-            walk = _Walk(file, size)
-            segment = Segment(copy.path, FileHead(specification, {}, {}), "lz4")
-            try:
-                _arrange(walk, specification, segment)
-            finally:
-                segment.finish()
+        return tuple(_copies(path, size, specification))
     except OSError as error:
         raise RecordingError(
             f"{path} was written by another program, and the copy that it is read from cannot be "
@@ -131,51 +98,69 @@ def arranged(path: Path, changed_ns: int, size: int, specification: Specificatio
             f"{path} was written by another program and cannot be read: {reason}; take the file "
             "that RESC wrote."
         ) from error
-    copy.complete = walk.complete
-    return copy
 
 
-def _uncompressed(file: IO[bytes], place: Place) -> memoryview:
-    """The records of a chunk; a checksum of zero stands for none."""
-    fields = records.Fields(records.read_record(file, place, Opcode.CHUNK))
-    fields.take(16)  # first and last time
-    size, checksum = fields.number(), fields.number(4)
-    codec, data = fields.text(), fields.take(fields.number())
-    require(codec in ("", "lz4", "zstd") and size <= _LARGEST_CHUNK)
+def _copies(path: Path, size: int, specification: Specification) -> list[Copy]:
+    """A copy for each run in a file; what is there twice is taken once."""
+    begins = _begins(path, size, specification.dt_ns)
+    parts = []
+    for number in range(len(begins)):
+        own = specification
+        if len(begins) > 1:  # whose specification it is, the file does not say
+            session = f"{own.session}/{number}"
+            own = replace(own, session=session, earlier=(), first_step=None)
+        parts.append(_Part(own))
+    seen: set[tuple[int, int, int]] = set()
+    walk = None
     try:
-        if codec == "zstd":
-            data = memoryview(zstandard.decompress(data, size))
-        elif codec == "lz4":
-            data = memoryview(lz4.frame.decompress(data))
-    except _CODEC_ERRORS as error:
-        raise records.DamagedError from error
-    require(len(data) == size and checksum in (0, zlib.crc32(data)))
-    return data
+        with path.open("rb") as file:
+            walk = Walk(file, size)
+            for found in walk.messages():
+                number = sum(found.publish_time >= begin for begin in begins[1:])
+                place = (number, *wire.place_of(found.data)) if found.topic == ROLLOUT else None
+                if place is None or place not in seen:
+                    parts[number].add(found)
+                seen |= {place} if place else set()
+    finally:
+        for part in parts:
+            part.finish(walk)
+    return [part.copy for part in parts]
 
 
-def _arrange(walk: _Walk, specification: Specification, segment: Segment) -> None:
-    """Writes batch after batch as they become whole, then the other messages, in order of time."""
-    begun: dict[int, dict[int, Found]] = {}
-    written: set[int] = set()
-    others: dict[str, list[Found]] = {}
-    for found in walk.messages():
-        if found.topic != ROLLOUT:
-            others.setdefault(found.topic, []).append(found)
-            continue
-        start_step, env_id = wire.place_of(found.data)
-        batch = begun.setdefault(start_step, {})
-        if env_id in batch or start_step in written:
-            raise RecordingError(f"it holds step {start_step} of environment {env_id} twice")
-        batch[env_id] = found
-        if len(batch) == specification.num_envs:
-            _append(segment, begun.pop(start_step))
-            written.add(start_step)
-    if walk.complete:  # of a file that was cut, what is left of a batch is as if it had not been
-        for batch in begun.values():
-            _append(segment, batch)
-    for topic, messages in others.items():
-        messages.sort(key=lambda found: found.log_time)
-        segment.append(topic, [_message(found) for found in messages], messages[0].publish_time)
+def _begins(path: Path, size: int, dt_ns: int) -> list[int]:
+    """When each run in a file began to be written [ns].
+
+    One run records every step of an environment once. Where a step is there with different
+    values, the clock tells the runs apart: each begins where the steps go back.
+
+    Raises:
+        RecordingError: Runs were recorded at the same time, so that what is whose cannot be told.
+    """
+    first: dict[tuple[int, int], int] = {}
+    others: dict[tuple[int, int], set[int]] = {}
+    events: set[tuple[int, bool, int]] = set()  # publish time, whether of a batch, step
+    with path.open("rb") as file:
+        for found in Walk(file, size).messages():
+            if found.topic == ROLLOUT:
+                place, digest = wire.place_of(found.data), hash(found.data)
+                if first.setdefault(place, digest) != digest:
+                    others.setdefault(place, set()).add(digest)
+                events.add((found.publish_time, True, place[0]))
+            elif found.topic == WORLD:
+                events.add((found.publish_time, False, found.log_time // dt_ns))
+    begins, last, last_batch = [0], -1, -1
+    for time, is_batch, step in sorted(events) if others else ():
+        if step < last or (is_batch and step <= last_batch):
+            begins.append(time)
+            last_batch = -1
+        last, last_batch = step, step if is_batch else last_batch
+    if len(begins) != 1 + max(map(len, others.values()), default=0):
+        step, env_id = min(others)
+        raise RecordingError(
+            f"it holds step {step} of environment {env_id} more than once, of runs that were "
+            "recorded at the same time"
+        )
+    return begins
 
 
 def _append(segment: Segment, batch: Mapping[int, Found]) -> None:

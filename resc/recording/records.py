@@ -56,9 +56,13 @@ class ChunkRef:
 
 @dataclass
 class Contents:
-    """What a file holds, and where; how many messages of each channel, if it says so."""
+    """What a file holds, and where; how many messages of each channel, if it says so.
+
+    `read_to` is the byte from which on nothing could be read; None where all of it was.
+    """
 
     complete: bool
+    read_to: int | None = None
     counts: dict[int, int] | None = None
     topics: dict[str, int] = field(default_factory=dict)
     chunks: list[ChunkRef] = field(default_factory=list)
@@ -246,7 +250,7 @@ def scan(file: IO[bytes], size: int) -> Contents:
     Nothing after a damaged place counts: it would be read as if nothing had been between. A chunk
     counts once its index is there; one without was still being written.
     """
-    contents, chunk = Contents(complete=False), None
+    contents, chunk = Contents(complete=False, read_to=len(MCAP0_MAGIC)), None
     for opcode, place in records(file, size):
         if (chunk is not None) != (opcode == Opcode.MESSAGE_INDEX):
             break
@@ -258,10 +262,15 @@ def scan(file: IO[bytes], size: int) -> Contents:
             chunk = None
         elif opcode == Opcode.CHUNK:
             chunk = place
+            continue
         elif opcode == Opcode.METADATA:
             contents.metadata.append(place)
         elif opcode == Opcode.ATTACHMENT:
             contents.attachments.append(place)
+        elif opcode == Opcode.DATA_END:
+            contents.read_to = None  # what follows repeats what was read
+            break
+        contents.read_to = place.offset + place.length
     if contents.chunks:
         contents.topics = _topics(read_chunk(file, contents.chunks[0]))
     return contents

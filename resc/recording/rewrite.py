@@ -1,6 +1,7 @@
 """Recordings written again: what a cut or damaged file still holds, or several files as one."""
 
 import json
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -17,7 +18,7 @@ from resc.recording.history import joined
 from resc.recording.records import ChunkRef
 from resc.recording.schema import ROLLOUT, STARTS
 from resc.recording.segments import ACTIVE, FileHead, Message, Segment
-from resc.recording.source import Source, open_source
+from resc.recording.source import Source, open_recording, open_source
 from resc.run_folder import replacing
 
 _CODECS = {"": "none"}
@@ -82,12 +83,12 @@ def recover(path: Path, target: Path) -> Rewritten:
     found = _described(path)
     # As of a file that was cut: batches of which something is missing are no reason to stop.
     source = replace(found, complete=False)
-    done = Rewritten()
-    if found.complete:
-        kept = {chunk.offset for batch in batches(source) for chunk in batch.chunks}
-        rest = [c for c in source.chunks_of(ROLLOUT) if c.offset not in kept]
-        steps = dict.fromkeys(c.start_time // source.specification.dt_ns for c in rest)
-        done.lost += [f"{ROLLOUT}: the batch from step {step} is not whole" for step in steps]
+    done = Rewritten(lost=list(found.lacking))
+    kept = {chunk.offset for batch in batches(source) for chunk in batch.chunks}
+    rest = [c for c in source.chunks_of(ROLLOUT) if c.offset not in kept]
+    steps = dict.fromkeys(c.start_time // source.specification.dt_ns for c in rest)
+    done.lost += [f"{ROLLOUT}: the batch from step {step} is not whole" for step in steps]
+    done.lost += _cut_off(found)
     try:
         attachments = source.attachments()
     except RecordingError as error:
@@ -102,6 +103,16 @@ def recover(path: Path, target: Path) -> Rewritten:
         )
     _write([source], head, target, done)
     return done
+
+
+def _cut_off(source: Source) -> list[str]:
+    """What could not be read at the end of a file, in words; nothing where nothing follows."""
+    with open_recording(source.path) as file:
+        size = os.fstat(file.fileno()).st_size
+    if source.read_to is None or source.read_to == size:
+        return []
+    lost = size - source.read_to
+    return [f"{lost:,} bytes from byte {source.read_to:,} on, where it was cut or is damaged"]
 
 
 def merge(paths: Sequence[Path], target: Path) -> Rewritten:
@@ -132,7 +143,7 @@ def merge(paths: Sequence[Path], target: Path) -> Rewritten:
                 f"{one.path} and {other.path} both hold step {first}; only files of one run that "
                 "follow each other can be merged."
             )
-    done = Rewritten()
+    done = Rewritten(lost=[sentence for source in sources for sentence in source.lacking])
     _write(sources, _merged_head(sources), target, done)
     return done
 
@@ -161,6 +172,26 @@ def _write(sources: Sequence[Source], head: FileHead, target: Path, done: Rewrit
             unfinished.with_name(unfinished.name + ACTIVE).unlink()
             raise
         segment.finish()
+        _read_back(unfinished, target, done)
+
+
+def _read_back(written: Path, target: Path, done: Rewritten) -> None:
+    """Reads what was written, all of it.
+
+    Raises:
+        RecordingError: It is not what was meant to be written.
+    """
+    try:
+        source = _described(written)
+        found = [piece for piece in _pieces(source) if piece.messages()]
+        fine = source.complete and sum(p.batch is not None for p in found) == done.batches
+    except RecordingError:
+        fine = False
+    if not fine:
+        raise RecordingError(
+            f"{target} cannot be read back as it was written; check the disk, or write elsewhere "
+            "with --out."
+        )
 
 
 def _pieces(source: Source) -> list[_Piece]:

@@ -203,6 +203,11 @@ def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
     return FileDescriptorSet(file=[file]).SerializeToString()
 
 
+def dtype_of(kind: int) -> str:
+    """Name of the type of a column whose protobuf fields are of this kind."""
+    return next(name for name, (_, own) in _TYPES.items() if own == kind)
+
+
 def numpy_type(name: str) -> np.dtype:
     """Type of one value on the wire."""
     return np.dtype(_ARRAY_TYPES[name][0])

@@ -5,7 +5,7 @@ import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -34,7 +34,8 @@ class Source:
     """Index of one file.
 
     What it holds from step `limit` on, a later part of its `run` has taken the place of: nothing
-    gives it. `copy` has the chunks where another program wrote the file.
+    gives it. `copy` has the chunks where another program wrote the file, and `lacking` what that
+    program left out, a sentence each. From byte `read_to` on nothing of the file could be read.
     """
 
     path: Path
@@ -48,6 +49,8 @@ class Source:
     copy: Copy | None = None
     run: str = ""
     limit: int | None = None
+    lacking: tuple[str, ...] = ()
+    read_to: int | None = None
 
     @property
     def first_step(self) -> int | None:
@@ -173,20 +176,61 @@ def open_recording(path: Path) -> IO[bytes]:
 
 
 def open_source(path: Path) -> Source | None:
-    """Index of a file; None for one that was cut before its description was written."""
+    """Index of a file with one run; None for one that was cut before its description was written.
+
+    Raises:
+        RecordingError: It cannot be read, or another program put several runs into it.
+    """
+    found = open_sources(path)
+    if len(found) > 1:
+        raise RecordingError(
+            f"{path} holds {len(found)} runs, which another program merged; take the files that it "
+            "was made of, or read it with RolloutLog."
+        )
+    return found[0] if found else None
+
+
+def open_sources(path: Path) -> list[Source]:
+    """Index of each run in a file: one, unless another program merged several."""
     found = _described(path)
     if found is None:
-        return None
+        return []
     metadata, contents, as_recorded = found
-    specification = Specification.from_metadata(_entries(metadata, "resc.spec", path), str(path))
-    run = unsealed(_entries(metadata, "resc.run", path), "resc.run", str(path))
-    attached, copy = contents.attachments, None
-    if not as_recorded:
-        status = path.stat()
-        copy = arranged(path, status.st_mtime_ns, status.st_size, specification)
+    lacking, status = [], path.stat()
+    if "resc.spec" in metadata:
+        specification = Specification.from_metadata(metadata["resc.spec"], str(path))
+        as_recorded = as_recorded and not _is_thinned(contents, specification)
+    else:
+        specification, as_recorded = _rebuilt(path, status.st_size), False
+        lacking.append(
+            f"the metadata 'resc.spec' is gone: {specification.num_envs} environments, as many as "
+            "its messages name, and columns by its schemas"
+        )
+    if "resc.run" in metadata:
+        run = unsealed(metadata["resc.run"], "resc.run", str(path))
+    else:
+        run = {}
+        lacking.append("the metadata 'resc.run' is gone: nothing is known about the run")
+    if as_recorded:
+        return [_source(path, specification, run, contents, contents.attachments)]
+    found = []
+    for copy in arranged(path, status.st_mtime_ns, status.st_size, specification):
         with copy.path.open("rb") as file:
-            contents = records.read_summary(file, copy.path.stat().st_size)
-        contents.complete, contents.counts = copy.complete, None
+            inner = records.read_summary(file, copy.path.stat().st_size)
+        inner.complete, inner.counts, inner.read_to = copy.complete, None, copy.read_to
+        source = _source(path, copy.specification, run, inner, contents.attachments)
+        said = [f"{path}: {sentence}" for sentence in (*lacking, *copy.lacking)]
+        found.append(replace(source, copy=copy, lacking=tuple(said)))
+    return found
+
+
+def _source(
+    path: Path,
+    specification: Specification,
+    run: dict[str, str],
+    contents: Contents,
+    attached: list[Place],
+) -> Source:
     return Source(
         path,
         specification,
@@ -196,8 +240,32 @@ def open_source(path: Path) -> Source | None:
         contents.complete,
         attached,
         contents.counts,
-        copy,
+        read_to=contents.read_to,
     )
+
+
+def _is_thinned(contents: Contents, specification: Specification) -> bool:
+    """Whether batches of a complete file lack environments: another program took them out."""
+    counts: dict[int, int] = {}
+    for chunk in contents.chunks:
+        if contents.topics.get(ROLLOUT) in chunk.channels:
+            step = chunk.start_time // specification.dt_ns
+            counts[step] = counts.get(step, 0) + chunk.count
+    return contents.complete and any(n != specification.num_envs for n in counts.values())
+
+
+def _rebuilt(path: Path, size: int) -> Specification:
+    """The specification of a file that lost it."""
+    from resc.recording.rebuilt import rebuilt  # needs torch, which takes seconds to import
+
+    with open_recording(path) as file:
+        specification = rebuilt(file, size, path)
+    if specification is None:
+        raise RecordingError(
+            f"{path} holds no metadata 'resc.spec' and no topic of RESC's recorder (a scene file "
+            "is opened in a viewer); give a file of a run's folder rollouts."
+        )
+    return specification
 
 
 def sessions_in(folder: Path) -> tuple[str, ...]:
@@ -206,10 +274,10 @@ def sessions_in(folder: Path) -> tuple[str, ...]:
     for path in sorted([*folder.glob(NUMBERED), *folder.glob(NUMBERED + ACTIVE)]):
         with suppress(RecordingError):
             metadata, *_ = _described(path) or ({},)
-            entries = _entries(metadata, "resc.spec", path)
-            specification = Specification.from_metadata(entries, str(path))
-            sessions = (*(specification.earlier or ()), specification.session)
-            found |= dict.fromkeys(sessions)
+            if "resc.spec" in metadata:
+                specification = Specification.from_metadata(metadata["resc.spec"], str(path))
+                sessions = (*(specification.earlier or ()), specification.session)
+                found |= dict.fromkeys(sessions)
     return tuple(found)
 
 
@@ -231,15 +299,6 @@ def _described(path: Path) -> tuple[dict[str, dict[str, str]], Contents, bool] |
             metadata[name] = entries
     stump = "resc.spec" not in metadata and not contents.complete and not contents.chunks
     return None if stump else (metadata, contents, as_recorded)
-
-
-def _entries(metadata: dict[str, dict[str, str]], name: str, path: Path) -> dict[str, str]:
-    if name not in metadata:
-        raise RecordingError(
-            f"{path} holds no metadata '{name}': it is no recording of RESC's recorder (a scene "
-            "file is opened in a viewer); give a file of a run's folder rollouts."
-        )
-    return metadata[name]
 
 
 def _contents(file: IO[bytes], path: Path, size: int) -> Contents | None:

@@ -22,7 +22,7 @@ ROWS = 1_000_000
 
 
 def episode_table(sources: Sequence[Source], outcomes: Sequence[str]) -> pl.DataFrame:
-    """The finished episodes of some files, one a row; reads no rollout chunk."""
+    """The finished episodes of some files, one a row, with their run; reads no rollout chunk."""
     found = [list(source.messages(EPISODES)) for source in sources]
     arrays, names = events.decode_episodes([message for messages in found for message in messages])
     # Differences of unsigned integers would wrap around.
@@ -35,11 +35,12 @@ def episode_table(sources: Sequence[Source], outcomes: Sequence[str]) -> pl.Data
     about = {
         "outcome": pl.Series(names, dtype=pl.Enum(list(known))),
         "seed": pl.Series([_seed(source) for source in sources], dtype=pl.Int64)[of_file],
+        "run": pl.Series([source.run for source in sources], dtype=pl.String)[of_file],
         "file": pl.Series([str(source.path) for source in sources], dtype=pl.String)[of_file],
     }
     order = ("env_id", "episode", "start_step", "end_step", "length", "return_", "difficulty")
     table = pl.DataFrame(fields | about).with_row_index().cast({"index": pl.Int64})
-    return table.select("index", *order, "success", "outcome", "scene", "seed", "file")
+    return table.select("index", *order, "success", "outcome", "scene", "seed", "file", "run")
 
 
 def column_names(columns: Sequence[Column]) -> list[tuple[str, int, int]]:

@@ -221,13 +221,13 @@ def test_a_cut_file_is_recovered_merged_and_checked(run, call, tmp_path):
     assert len(RolloutLog(tmp_path / "one.mcap")) == 6
 
 
-def test_damage_makes_recover_end_with_1(run, call, tmp_path):
+def test_damage_makes_recover_end_with_3(run, call, tmp_path):
     data = bytearray((run / "rollouts" / "rollouts_00000.mcap").read_bytes())
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "bad.mcap").write_bytes(data)
     assert call("check", "bad.mcap")[0] == 1
     code, out, _ = call("recover", "bad.mcap")
-    assert code == 1
+    assert code == 3
     assert out.startswith("left out: ")
 
 

@@ -311,7 +311,7 @@ def test_what_is_not_a_recording_is_named_in_one_sentence(tmp_path):
     foreign_file(newer, {"resc.spec": {"format": "99"}})
     for location, complaint in (
         (text, "not an MCAP file"),
-        (other, r"no metadata 'resc.spec': .* \(a scene file is opened in a viewer\); give a file"),
+        (other, r"no metadata 'resc.spec' and no topic of .* \(a scene file is opened in a"),
         (newer, "has recording format 99"),
         (tmp_path, "No recording at"),
         (tmp_path / "missing.mcap", "No recording at"),

@@ -1,5 +1,6 @@
 """Files that the stock writer wrote again, with other chunks, indexes and checksums: read whole."""
 
+import copy
 import itertools
 import random
 import shutil
@@ -199,12 +200,23 @@ def test_recover_of_a_file_without_a_batch_is_refused(tmp_path):
     assert not (tmp_path / "y.mcap").exists()
 
 
-def test_the_same_step_twice_is_refused(original, tmp_path):
+def test_the_same_step_twice_is_read_once(original, tmp_path):
     def twice(messages):
         messages += messages
 
-    with pytest.raises(RecordingError, match="holds step 0 of environment 0 twice"):
-        RolloutLog(rewrite(original, tmp_path / "x.mcap", order=twice))
+    same_content(rewrite(original, tmp_path / "x.mcap", order=twice), original)
+
+
+def test_runs_recorded_at_one_time_are_refused(original, tmp_path):
+    def mixed(messages):
+        rollouts = [m for m in messages if m[1].topic == "/rollout"]
+        other = [copy.copy(message) for *_, message in rollouts]
+        for message in other:
+            message.data = message.data[:-1] + bytes([message.data[-1] ^ 1])
+        messages += [(*rollouts[0][:2], message) for message in other]
+
+    with pytest.raises(RecordingError, match=r"more than once, of runs .* at the same time"):
+        RolloutLog(rewrite(original, tmp_path / "x.mcap", order=mixed))
 
 
 def test_no_room_for_the_copy_is_told(original, tmp_path, monkeypatch):

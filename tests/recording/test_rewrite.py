@@ -67,7 +67,7 @@ def test_a_damaged_batch_is_left_out_and_named_the_others_are_kept(path, tmp_pat
     assert RolloutLog(tmp_path / "saved.mcap").start_steps == [0, 20, 30]
 
 
-def test_a_batch_without_all_its_fragments_is_refused_and_left_out_by_recover(path, tmp_path):
+def test_a_batch_without_all_its_fragments_is_left_out_and_said(path, tmp_path):
     """In a complete file, so that it was not cut: another program left one out."""
     source, changed = open_source(path), tmp_path / "changed.mcap"
     head = FileHead(source.specification, source.metadata, source.attachments())
@@ -78,10 +78,12 @@ def test_a_batch_without_all_its_fragments_is_refused_and_left_out_by_recover(pa
         messages = [(origin + i, i, rows.message(i)) for i in range(3 - (number == 1))]
         segment.append("/rollout", messages, 0)
     segment.finish()
-    with pytest.raises(RecordingError, match="was rearranged by another program"):
-        RolloutLog(changed)
+    log = RolloutLog(changed)
+    assert log.start_steps == [0, 20, 30]
+    told = f"{changed}: the batch from step 10 has 2 of 3 environments and is left out"
+    assert log.lacking == [told]
     done = recover(changed, tmp_path / "saved.mcap")
-    assert (done.batches, done.lost) == (3, ["/rollout: the batch from step 10 is not whole"])
+    assert (done.batches, done.lost) == (3, [told])
     assert RolloutLog(tmp_path / "saved.mcap").start_steps == [0, 20, 30]
 
 
