@@ -41,6 +41,7 @@ class Group:
         needed: Whether nothing flies without it.
         compared: Whether it says what an episode is: flights are compared where it is the same.
         folders: Further folders of conf/ whose files go into it.
+        own_folder: Whether it has a folder of its own name, too.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Group:
     needed: bool = False
     compared: bool = False
     folders: tuple[str, ...] = ()
+    own_folder: bool = True
 
 
 GROUPS = (
@@ -71,6 +73,15 @@ GROUPS = (
         owner="policy",
         needed=True,
         folders=("obstacle_observation",),
+    ),
+    Group(
+        "observation_critic",
+        Observation,
+        stage="critic_observations",
+        several=True,
+        runs=(TRAIN,),
+        folders=("observation", "obstacle_observation"),
+        own_folder=False,
     ),
     Group(
         "termination",

@@ -173,7 +173,14 @@ EPISODE_SUCCESS = _declare(
     ("episode", "success"), (1,), "-", "whether each finished episode succeeded", torch.bool
 )
 
-GROUPS = ("termination", "reward", "metric", "observation", "difficulty")
+GROUPS = (
+    "termination",
+    "reward",
+    "metric",
+    "observation",
+    "observation_critic",
+    "difficulty",
+)
 """First part of the keys that terms name themselves: `(group, name)`."""
 
 

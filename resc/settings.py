@@ -43,8 +43,8 @@ RESUMABLE = (
     "recorder.when_full",
 )
 """Settings that a resumed run takes from its command line; all others are the run's own."""
-LATER = ("init_from",)
-"""Settings that older runs lack, and that change nothing as long as they are null."""
+LATER = ("init_from", "observation_critic")
+"""Settings that older runs lack, and that change nothing as long as they are empty."""
 NO_MATTER = (*RESUMABLE, "resume", "recorder", "logger")
 """Settings that change nothing about what is learned."""
 
@@ -98,7 +98,7 @@ def fingerprint(config: DictConfig) -> str:
     It is stored with weights, so that those of one run are not taken for another's.
     """
     plain = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    unset = {name for name in LATER if plain.get(name) is None}
+    unset = {name for name in LATER if not plain.get(name)}
     made = {name: value for name, value in plain.items() if name not in {*NO_MATTER, *unset}}
     return hashlib.sha256(json.dumps(made, sort_keys=True, default=str).encode()).hexdigest()
 

@@ -20,6 +20,8 @@ from resc.scenes.layout import PARKED_M, Layout, Scene
 from resc.scenes.pool import ScenePool
 from resc.term import Curriculum, Observation, Term
 
+CRITIC = "observation_critic"
+"""First part of the keys of what the value function alone sees."""
 PROBED = 32
 """Scenes laid out to look at, before a whole pool is."""
 
@@ -116,6 +118,8 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
         if group.stage
     }
     parts["observations"] = in_layout(parts["observations"], layout)
+    for term in parts["critic_observations"]:
+        term.group = CRITIC
     task = resolved(config["task"], "task")
     for name, stage in TASK.items():
         parts[stage] = build_term(task.get(name), f"task.{name}", allowed, Term).named(name)

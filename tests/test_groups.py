@@ -15,7 +15,8 @@ CONF = Path(__file__).parents[1] / "conf"
 
 def test_every_folder_of_conf_is_in_the_table():
     there = {path.name for path in CONF.iterdir() if path.is_dir()}
-    known = {folder for group in GROUPS for folder in (group.name, *group.folders)}
+    known = {folder for group in GROUPS for folder in group.folders}
+    known |= set(names(lambda group: group.own_folder))
     assert there == known | set(DELTAS)
 
 

@@ -80,14 +80,16 @@ class QuadrotorEnv(EnvBase):
             )
         if tried:
             check_terms(self.stages, pool)
-        self._make_specs()
-        self.set_seed(seed)
         self.difficulties = {
             name: torch.ones(1, 1, device=self.device) for name in stages.difficulties
         }
         self.scene_difficulty = 1.0
         self._world: World = {}
-        self.observation = torch.zeros(num_envs, self.observation_width, device=self.device)
+        own, critic = stages.widths
+        self.observation = torch.zeros(num_envs, own, device=self.device)
+        self.observation_critic = torch.zeros(num_envs, critic, device=self.device)
+        self._make_specs()
+        self.set_seed(seed)
 
     @property
     def observation_width(self) -> int:
@@ -139,7 +141,7 @@ class QuadrotorEnv(EnvBase):
             self._world, out = self._step_function(self._world, self.pool.shared, action, drawn)
         except Exception as error:  # what a term of one's own raises is told with its name
             raise blamed(error, f"step {self.steps_taken + 1}") from error
-        self.observation = out.observation
+        self.observation, self.observation_critic = out.observation, out.observation_critic
         self.steps_taken += 1
         return out
 
@@ -157,6 +159,7 @@ class QuadrotorEnv(EnvBase):
             return self.observation
         # A copy: the caller keeps the last observation of the episode.
         self.observation = self.observation.clone()
+        self.observation_critic = self.observation_critic.clone()
         for part in rows.cpu().split(self.chunk):
             filled = torch.arange(self.chunk).clamp(max=len(part) - 1)
             target = part[filled].to(self.device)
@@ -167,7 +170,7 @@ class QuadrotorEnv(EnvBase):
             }
             self._restart_function(
                 self._world,
-                self.observation,
+                (self.observation, self.observation_critic),
                 target,
                 entry,
                 self.pool.tasks,
@@ -186,9 +189,8 @@ class QuadrotorEnv(EnvBase):
         self.restart(torch.arange(self.num_envs))
         given = {key: world[key].to(self.device) for key in self._world if key in world.keys(True)}
         drawn = self._draw(self.step_draws, self.num_envs)
-        self._world, self.observation = self.stages.begin(
-            self._world | given, self.pool.shared, drawn
-        )
+        self._world, seen = self.stages.begin(self._world | given, self.pool.shared, drawn)
+        self.observation, self.observation_critic = seen.split(self.stages.widths, -1)
         return self.observation
 
     def renew(self, count: int) -> Tensor:
@@ -242,7 +244,7 @@ class QuadrotorEnv(EnvBase):
     def _restart_rows(
         self,
         world: World,
-        observation: Tensor,
+        observations: tuple[Tensor, Tensor],
         rows: Tensor,
         entry: Tensor,
         tasks: World,
@@ -253,7 +255,8 @@ class QuadrotorEnv(EnvBase):
         fresh, seen = self.stages.restart(tasks, entry, shared, drawn, difficulties)
         for key, value in fresh.items():
             world[key].index_copy_(0, rows, value)
-        observation.index_copy_(0, rows, seen)
+        for observation, part in zip(observations, seen.split(self.stages.widths, -1), strict=True):
+            observation.index_copy_(0, rows, part)
 
     def _allocate(self) -> None:
         """An empty world of the right shapes."""
@@ -289,11 +292,13 @@ class QuadrotorEnv(EnvBase):
         n, device = self.num_envs, self.device
         width, column = self.observation_width, torch.Size((n, 1))
         actions = torch.Size((n, self.stages.terms.action.width))
-        self.observation_spec = Composite(
-            observation=Unbounded(torch.Size((n, width)), device=device),
-            outcome=Unbounded(column, dtype=torch.int64, device=device),
-            shape=(n,),
-        )
+        seen = {
+            "observation": Unbounded(torch.Size((n, width)), device=device),
+            "outcome": Unbounded(column, dtype=torch.int64, device=device),
+        }
+        if critic := self.observation_critic.shape[-1]:
+            seen["observation_critic"] = Unbounded(torch.Size((n, critic)), device=device)
+        self.observation_spec = Composite(seen, shape=(n,))
         self.action_spec = Bounded(-1.0, 1.0, actions, device=device)
         self.reward_spec = Unbounded(column, device=device)
         flag = Categorical(2, shape=column, dtype=torch.bool, device=device)
@@ -301,13 +306,18 @@ class QuadrotorEnv(EnvBase):
             done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)
         )
 
+    def _critic(self) -> dict[str, Tensor]:
+        """What the value function alone sees, if there is anything."""
+        seen = self.observation_critic
+        return {"observation_critic": seen.clone()} if seen.shape[-1] else {}
+
     def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDict:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         rows = torch.arange(self.num_envs) if mask is None else mask[:, 0].nonzero()[:, 0]
         observation = self.restart(rows) if len(rows) else self.observation
         outcome = torch.zeros(self.num_envs, 1, dtype=torch.int64, device=self.device)
         return TensorDict(
-            {"observation": observation.clone(), "outcome": outcome},
+            {"observation": observation.clone(), "outcome": outcome, **self._critic()},
             batch_size=self.batch_size,
             device=self.device,
         )
@@ -319,6 +329,7 @@ class QuadrotorEnv(EnvBase):
         return TensorDict(
             {
                 "observation": out.observation,
+                **self._critic(),
                 "outcome": out.outcome,
                 "reward": out.reward,
                 "done": out.done,

@@ -32,7 +32,8 @@ SUCCESS = "success"
 class Terms:
     """Everything an environment is made of, in the order it runs.
 
-    Observations in the order of the policy's input.
+    Observations in the order of the policy's input; `critic_observations` are seen by the value
+    function alone.
     """
 
     action: Action
@@ -46,6 +47,12 @@ class Terms:
     observations: Sequence[Observation]
     randomizations: Sequence[Randomization] = field(default_factory=tuple)
     metrics: Sequence[Metric] = field(default_factory=tuple)
+    critic_observations: Sequence[Observation] = field(default_factory=tuple)
+
+    @property
+    def observed(self) -> list[Observation]:
+        """What the policy sees, then what the value function sees beside it."""
+        return [*self.observations, *self.critic_observations]
 
     def __iter__(self) -> Iterator[Term]:
         """Every term, in the order of a step, the reset's terms first."""
@@ -57,7 +64,7 @@ class Terms:
             self.terminations,
             self.rewards,
             self.metrics,
-            self.observations,
+            self.observed,
         ):
             yield from stage
 
@@ -69,6 +76,7 @@ class StepOutput(NamedTuple):
     """
 
     observation: Tensor
+    observation_critic: Tensor
     reward: Tensor
     terminated: Tensor
     truncated: Tensor
@@ -103,7 +111,7 @@ class Stages(nn.Module):
         self.context = context
         for term in terms:
             _bind(term, context)
-        for term in terms.observations:
+        for term in terms.observed:
             term.history = term.history or context.history
         for name, value in context.vehicle.parameters().items():
             self.register_buffer(_buffer_name(name), value, persistent=False)
@@ -124,6 +132,12 @@ class Stages(nn.Module):
             for term in self.terms.observations
             for column in term.column_names
         ]
+
+    @property
+    def widths(self) -> tuple[int, int]:
+        """Numbers that the policy sees, and those that the value function sees beside them."""
+        own = sum(term.width for term in self.terms.observations)
+        return own, sum(term.width for term in self.terms.critic_observations)
 
     @property
     def reset_draws(self) -> dict[str, int]:
@@ -160,8 +174,10 @@ class Stages(nn.Module):
         for term in (*terms.rewards, *terms.metrics):
             _run(term, tensors, drawn)
         reward_terms = torch.cat([term.weighted(tensors) for term in terms.rewards], -1)
+        observation, critic = self._observe(tensors, drawn).split(self.widths, -1)
         out = StepOutput(
-            observation=self._observe(tensors, drawn),
+            observation=observation,
+            observation_critic=critic,
             reward=reward_terms.sum(-1, keepdim=True),
             terminated=tensors[keys.TERMINATED],
             truncated=tensors[keys.TRUNCATED],
@@ -179,7 +195,7 @@ class Stages(nn.Module):
         drawn: Mapping[str, Tensor],
         difficulties: Mapping[str, Tensor],
     ) -> tuple[World, Tensor]:
-        """World and observation of episodes that begin in the pool's entries `index` [k, 1].
+        """World and observations of episodes that begin in the pool's entries `index` [k, 1].
 
         They keep the `difficulties` [1, 1] of now, that of the scene as the entry was laid out.
         """
@@ -214,7 +230,7 @@ class Stages(nn.Module):
     def observe(
         self, world: World, shared: World, drawn: Mapping[str, Tensor], *, first: bool
     ) -> tuple[World, Tensor]:
-        """The world and what is observed of it, `first` in an episode or later.
+        """The world and all that is observed of it, `first` in an episode or later.
 
         Later, `world` may hold what was remembered of the step before, under `memory`; by default
         that is as now.
@@ -222,7 +238,7 @@ class Stages(nn.Module):
         tensors = {**world, **shared}
         for key in self.memory:
             tensors.setdefault(key, tensors[key[1:]])
-        for term in self.terms.observations if first else ():
+        for term in self.terms.observed if first else ():
             tensors.pop(term.outputs[0], None)  # an episode that begins has no past
         for term in self.terms.sensors:
             if all(key in tensors for key in term.reads):
@@ -262,16 +278,16 @@ class Stages(nn.Module):
         tensors[("outcome",)] = torch.where(finished, 0, outcome)
 
     def _observe(self, tensors: World, drawn: Mapping[str, Tensor]) -> Tensor:
-        """All blocks side by side [n, width]."""
+        """All blocks side by side, the policy's first [n, width]."""
         if self.context.observation_frame == "heading":
             tensors[keys.AHEAD] = heading(tensors[keys.ATTITUDE_WB])
-        for term in self.terms.observations:
+        for term in self.terms.observed:
             _run(term, tensors, drawn)
-        return torch.cat([tensors[term.outputs[0]] for term in self.terms.observations], -1)
+        return torch.cat([tensors[term.outputs[0]] for term in self.terms.observed], -1)
 
     def _require_begun(self, tensors: World) -> None:
         """What the world holds must have a value where an episode begins."""
-        seen = {key for term in self.terms.observations for key in term.outputs}
+        seen = {key for term in self.terms.observed for key in term.outputs}
         for key in self.persistent:
             if key not in tensors and key not in seen:
                 makers = [term for term in self.terms if key in (*term.outputs, *term.keeps)]
@@ -301,7 +317,7 @@ class Stages(nn.Module):
             known |= set(term.outputs)
         for term in self.terms.sensors:
             at_reset |= set(term.outputs) if at_reset.issuperset(term.reads) else set()
-        for term in self.terms.observations:
+        for term in self.terms.observed:
             _require(term, at_reset, "which an episode does not begin with")
 
 

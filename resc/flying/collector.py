@@ -18,11 +18,12 @@ from resc.errors import NumericalError
 from resc.flying.diagnosis import require_finite
 from resc.flying.episodes import RENEWED, EpisodeStatistics
 from resc.policies.networks import IS_INIT, STATE
-from resc.policies.policy import OBSERVATION, Policy
+from resc.policies.policy import OBSERVATION, OBSERVATION_CRITIC, Policy
 from resc.process import require_memory
 
 RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
 """State before each step that a batch keeps, beside what learning needs."""
+OBSERVED = (OBSERVATION, OBSERVATION_CRITIC)
 FLAGS = ("terminated", "truncated", "done")
 Explore = Callable[[TensorDict], TensorDict]
 
@@ -151,6 +152,8 @@ class Collector:
     def _seen(self) -> TensorDict:
         """What the policy is shown [n]."""
         seen = {OBSERVATION: self.env.observation, IS_INIT: self._began}
+        if self.env.observation_critic.shape[-1]:
+            seen[OBSERVATION_CRITIC] = self.env.observation_critic
         if self._memory is not None:
             seen[STATE] = self._memory
         return TensorDict(seen, [self.env.num_envs], device=self.env.device)
@@ -187,7 +190,7 @@ class Collector:
         env = self.env
         column = torch.zeros(env.num_envs, 1, device=env.device)
         after = {
-            OBSERVATION: env.observation,
+            **{name: seen[name] for name in OBSERVED if name in seen},
             "reward": column,
             **dict.fromkeys(FLAGS, column.bool()),
         }
@@ -213,7 +216,9 @@ class Collector:
 
 def _keep(after: TensorDict, row: TensorDict, out: StepOutput) -> None:
     """Puts what came of a step into its row of the batch."""
-    after[OBSERVATION].copy_(out.observation)
+    for name in OBSERVED:
+        if name in after:
+            after[name].copy_(getattr(out, name))
     for name in ("reward", *FLAGS):
         after[name].copy_(getattr(out, name))
     row["reward_terms"].copy_(out.reward_terms)

@@ -54,6 +54,7 @@ class OwnObservation:
             terminations=(),
             rewards=(),
             metrics=(),
+            critic_observations=(),
         )
         self.stages = Stages(terms, context)
 

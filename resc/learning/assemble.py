@@ -85,6 +85,7 @@ def build_algorithm(config: Mapping[str, Any], stages: Stages) -> Algorithm:
         model=build(config["model"], "model", allowed=allowed, kind=Model),
         observation_width=len(stages.observation_columns),
         action_width=stages.terms.action.width,
+        critic_width=stages.widths[1],
         num_envs=config["num_envs"],
         total_frames=config["total_frames"],
         seed=config["seed"],
@@ -181,7 +182,8 @@ def build_held_out(config: Mapping[str, Any], episodes: int) -> tuple[QuadrotorE
     """
     rules = held_out_rules(config)
     seed = rules["evaluation_seed"]
-    rules |= {"num_envs": episodes, "seed": seed, "recorder": _whole(rules["recorder"])}
+    rules |= {"num_envs": episodes, "seed": seed, "observation_critic": {}}
+    rules["recorder"] = _whole(rules["recorder"])
     setup = set_up(rules, size=episodes, seed=seed)
     return setup.env(episodes, compiled=rules["compile"], seed=seed, in_order=True), rules
 

@@ -26,6 +26,7 @@ def save_checkpoint(path: Path, trainer: Trainer) -> None:
         "trained_s": trainer.trained_s,
         "world": {"/".join(key): value for key, value in env.world.items(True, True)},
         "observation": env.observation,
+        "observation_critic": env.observation_critic,
         "generators": env.generator_states(),
         "pool": env.pool.state(),
         "curricula": trainer.curricula.state(),
@@ -70,4 +71,5 @@ def _take(content: Mapping[str, Any], trainer: Trainer) -> None:
     world = {tuple(name.split("/")): value for name, value in content["world"].items()}
     env.world = TensorDict(world, batch_size=[env.num_envs], device=env.device)
     env.observation = content["observation"].to(env.device)
+    env.observation_critic = content["observation_critic"].to(env.device)
     env.load_generator_states({name: state.cpu() for name, state in content["generators"].items()})

@@ -148,3 +148,29 @@ def test_numbers_of_a_buffer_that_cannot_be_are_refused(begin, override, sentenc
 def test_a_policy_that_remembers_needs_minibatches_of_whole_sequences(begin):
     with pytest.raises(ConfigError, match="minibatch is 8, but a policy that remembers"):
         begin("ppo", "gru", "algorithm.minibatch=8")
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_what_the_critic_alone_sees_moves_the_value_and_not_the_action(begin, algorithm, tmp_path):
+    options = ("observation@observation_critic=[heights]", "model.normalization=running")
+    trainer = begin(algorithm, "mlp", *options)
+    trainer.iterate()
+    trainer.iterate()
+    batch = trainer.batch
+    assert batch["observation_critic"].shape[-1] == 2
+    assert not torch.equal(batch["next", "observation_critic"], batch["observation_critic"])
+    seen = trainer.collector._seen()
+    other = seen.copy().update({"observation_critic": seen["observation_critic"] + 10})
+    state = trainer.algorithm.noise.get_state()
+    first = trainer.algorithm.explore(seen)
+    trainer.algorithm.noise.set_state(state)
+    second = trainer.algorithm.explore(other)
+    assert torch.equal(first["action"], second["action"])
+    if "state_value" in first:
+        assert not torch.equal(first["state_value"], second["state_value"])
+    save_checkpoint(tmp_path / CHECKPOINT, trainer)
+    trainer.iterate()
+    again = begin(algorithm, "mlp", *options)
+    load_checkpoint(tmp_path / CHECKPOINT, again)
+    again.iterate()
+    assert torch.equal(weights(again), weights(trainer))
