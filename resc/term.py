@@ -14,6 +14,7 @@ from resc.errors import ConfigError
 from resc.keys import NestedKey
 from resc.math.sampling import gaussian
 from resc.quantities import Count, NotNegative, Number, Positive, Within
+from resc.sights import Pose, Shape
 
 FRAMES = ("world", "heading")
 CellSize = Annotated[float, Within(0.001, 1)]
@@ -222,6 +223,16 @@ class Observation(Term):
         self.noise = noise
         self.clip = clip
         self.history = history
+
+    def sights(self, numbers: Tensor, pose: Pose) -> list[Shape]:
+        """What it sees, for pictures and 3-D scenes: nothing, unless it says how it is drawn.
+
+        Args:
+            numbers: Those of `compute` [t, c], before heading, scale, noise, clip and history.
+            pose: What they were seen from [t].
+        """
+        del numbers, pose
+        return []
 
     @property
     def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
     {"errors", "keys", "moved", "places"},
-    {"console", "math", "process", "quantities", "run_folder", "command_line"},
+    {"console", "math", "process", "quantities", "run_folder", "sights", "command_line"},
     {"term", "sweep_folder"},
     {"groups"},
     {"schema"},

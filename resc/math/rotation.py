@@ -5,21 +5,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def multiply(a: Float[Tensor, "n 4"], b: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
-    """The Hamilton product a * b."""
-    aw, ax, ay, az = a.unbind(-1)
-    bw, bx, by, bz = b.unbind(-1)
-    return torch.stack(
-        (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ),
-        -1,
-    )
-
-
 def normalize(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
     """The unit quaternion of the same rotation."""
     return attitude / attitude.square().sum(-1, keepdim=True).sqrt()

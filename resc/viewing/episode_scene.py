@@ -14,21 +14,20 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from resc import keys
-from resc.build import build, build_terms
+from resc.build import ALLOWED, build, build_terms
 from resc.groups import NEEDED as NEEDED_GROUPS
 from resc.maps.cells import extent_of, shape_of
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
-from resc.maps.observation import MapObservation
-from resc.math.rotation import heading
 from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
 from resc.recording.configuration import nodes_in, numbers_at, require_groups
 from resc.recording.reader import RolloutLog
 from resc.scenes.layout import PARKED_M, rasterize
 from resc.scenes.pool import layout_from
+from resc.sights import Shape
 from resc.simulation.vehicle import Vehicle
-from resc.term import Action, Context, Observation
-from resc.viewing.sight import Pose, Shape, shapes
+from resc.term import Action, Context, Observation, Term
+from resc.viewing.sight import seen_by
 
 CONFIG = "config.yaml"
 NEEDED = (*FLOWN, keys.REWARD, REWARD_TERMS)
@@ -133,8 +132,10 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
         dt_s=log.dt_s, resolution_m=resolution, vehicle=vehicle,
         observation_frame=config["env"].get("observation_frame", "world"),
     )  # fmt: skip
-    place = _place(log.scene(episode), config)
-    passed = _passed(steps, place, config, allowed)
+    task = build(config["task"]["control_points"], "task.control_points", allowed=allowed)
+    place = _place(log.scene(episode), resolution, task)
+    passed = _passed(steps, place, task)
+    observations = _observations(nodes_in(config, "observation"), allowed)
     return EpisodeScene(
         facts=facts,
         run=log.metadata,
@@ -142,11 +143,11 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
         dt_s=log.dt_s,
         steps=steps,
         reward_names=next(c.components for c in log.columns if c.key == REWARD_TERMS),
-        command=_command(steps, config, context, allowed),
+        command=_command(steps, build(config["action"], "action", allowed=allowed), context),
         passed=passed,
         place=place,
         vehicle=vehicle,
-        sights=_sights(steps, passed, place, config, context),
+        sights=_sights(steps, passed, place, observations, context),
     )
 
 
@@ -159,13 +160,11 @@ def _facts(log: RolloutLog, episode: int) -> dict[str, str]:
     return {n: text.lower() if isinstance(entry[n], bool) else text for n, text in texts.items()}
 
 
-def _place(arrays: Mapping[str, Tensor], config: Mapping[str, Any]) -> Place:
-    resolution = config["env"]["resolution_m"]
+def _place(arrays: Mapping[str, Tensor], resolution: float, task: Term) -> Place:
     layout = layout_from({name: array.unsqueeze(0) for name, array in arrays.items()})
     boxes, pillars, size = layout.boxes_w, layout.pillars_w, layout.size[0]
     shape = shape_of(size, resolution)
     occupied = rasterize(boxes, layout.origin_w, shape, resolution, pillars)
-    task = config["task"]["control_points"]
     return Place(
         boxes=boxes[boxes[..., 0] < PARKED_M],
         pillars=pillars[pillars[..., 0] < PARKED_M],
@@ -175,17 +174,14 @@ def _place(arrays: Mapping[str, Tensor], config: Mapping[str, Any]) -> Place:
         esdf=distance_transform(occupied, resolution, TRUNCATION_M)[0],
         start=arrays["start_w"],
         route=arrays["route_w"][: int(arrays["route_length"])],
-        radius=task.get("radius_m", 0.5),
-        half_height=task.get("half_height_m", 0.2),
+        radius=getattr(task, "radius_m", 0.5),
+        half_height=getattr(task, "half_height_m", 0.2),
     )
 
 
-def _command(
-    steps: TensorDict, config: Mapping[str, Any], context: Context, allowed: Iterable[str]
-) -> tuple[Tensor, Tensor]:
+def _command(steps: TensorDict, term: Action, context: Context) -> tuple[Tensor, Tensor]:
     """Body rate [rad/s] and thrust [N] that each action asks for."""
-    term: Action = build(config["action"], "action", allowed=allowed).named("action")
-    term.bind(context)
+    term.named("action").bind(context)
     action = cast(Tensor, steps[keys.ACTION])
     depth = term.longest_delay_steps + 1
     tensors: Tensors = {
@@ -197,18 +193,15 @@ def _command(
     return tensors[keys.BODY_RATE_COMMAND_B], tensors[keys.COLLECTIVE_THRUST]
 
 
-def _passed(
-    steps: TensorDict, place: Place, config: Mapping[str, Any], allowed: Iterable[str]
-) -> Int[Tensor, " t"]:
+def _passed(steps: TensorDict, place: Place, task: Term) -> Int[Tensor, " t"]:
     """Control points passed before each step, by the rule of the run."""
-    term = build(config["task"]["control_points"], "task.control_points", allowed=allowed)
     position = cast(Tensor, steps[keys.POSITION_W])
     count = len(position)
     route = place.route.expand(count, -1, -1)
     length = torch.full((count, 1), len(place.route))
     reached = torch.cat(
         [
-            term.compute(position, route, length, torch.full((count, 1), number))[3]
+            task.compute(position, route, length, torch.full((count, 1), number))[3]
             for number in range(len(place.route))
         ],
         -1,
@@ -220,42 +213,37 @@ def _passed(
     return torch.from_numpy(passed)
 
 
+def _observations(nodes: Mapping[str, Any], allowed: Iterable[str]) -> list[Observation]:
+    """The observations, but those of packages that the reader does not allow."""
+    known = (*ALLOWED, *allowed)
+    nodes = {name: node for name, node in nodes.items() if node["_target_"].startswith(known)}
+    return build_terms(nodes, "observation", Observation, allowed)
+
+
 def _sights(
     steps: TensorDict,
     passed: Int[Tensor, " t"],
     place: Place,
-    config: Mapping[str, Any],
+    terms: Iterable[Observation],
     context: Context,
 ) -> dict[str, list[Shape]]:
-    """What each observation of the map sees; those of other packages have no drawing."""
-    nodes = {
-        name: node
-        for name, node in nodes_in(config, "observation").items()
-        if node["_target_"].startswith("resc.")
-    }
+    """What each observation that draws itself sees, from what is recorded.
+
+    The draws of the flight are not; at one half noise is zero.
+    """
     count, last = len(passed), len(place.route) - 1
     ahead = torch.stack((passed, passed + 1), -1).clamp(max=last)
     tensors = {key: cast(Tensor, steps[key]) for key in FLOWN}
     tensors |= {
         keys.CONTROL_POINTS_W: place.route[ahead],
+        keys.ROUTE_W: place.route.expand(count, -1, -1),
         keys.SCENE_INDEX: torch.zeros(count, 1, dtype=torch.int64),
         keys.ESDF: place.esdf[None],
         keys.MAP_ORIGIN_W: place.origin[None],
         keys.MAP_SIZE: place.size[None],
     }
-    direction = heading(tensors[keys.ATTITUDE_WB])
-    pose = Pose(
-        position=tensors[keys.POSITION_W][:, :2],
-        velocity=tensors[keys.VELOCITY_W][:, :2],
-        yaw=torch.atan2(direction[:, 1], direction[:, 0]),
-        control_points=tensors[keys.CONTROL_POINTS_W][..., :2],
-    )
-    found = {}
-    for term in build_terms(nodes, "observation", Observation):
-        if isinstance(term, MapObservation):
-            term.bind(context)
-            # The draws of the flight are not recorded; at one half noise is zero.
-            drawn = [torch.full((count, term.step_draws), 0.5)] if term.step_draws else []
-            numbers = term.compute(*(tensors[key] for key in term.reads), *drawn)
-            found[term.name] = shapes(term, numbers, pose)
+    found = {
+        term.name: seen_by(term, context, tensors, lambda width: torch.full((count, width), 0.5))
+        for term in terms
+    }
     return {name: seen for name, seen in found.items() if seen}

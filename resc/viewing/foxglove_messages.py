@@ -27,8 +27,9 @@ from foxglove.messages import (
 )
 from jaxtyping import Float, UInt8
 
+from resc.sights import Shape
 from resc.viewing.appearance import rgba
-from resc.viewing.sight import Shape
+from resc.viewing.sight import colour_of
 
 LEVEL = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 HERE = Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=LEVEL)
@@ -172,7 +173,12 @@ def sight_lines(
 ) -> Iterator[tuple[int, SceneUpdate]]:
     """The lines and sectors that an observation sees, at the height of the vehicle, by time."""
     prepared = [
-        (shape.kind, shape.places.tolist(), paint(shape.colour), paint(shape.colour, SECTOR_ALPHA))
+        (
+            shape.kind,
+            shape.places.tolist(),
+            paint(colour_of(shape)),
+            paint(colour_of(shape), SECTOR_ALPHA),
+        )
         for shape in seen
         if shape.kind in LINE_KINDS
     ]
@@ -209,7 +215,7 @@ def sight_points(
     first = 0
     for shape in shown:
         columns = slice(first, first := first + shape.places.shape[1])
-        packed["rgba"][:, columns] = rgba(shape.colour)
+        packed["rgba"][:, columns] = rgba(colour_of(shape))
         if shape.values is not None:
             packed["distance"][:, columns] = shape.values.numpy()
     there = np.asarray(np.isfinite(flat).all(-1))

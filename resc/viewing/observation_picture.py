@@ -24,10 +24,11 @@ from resc.maps.distance_transform import distance_transform
 from resc.math.rotation import quaternion_from_euler
 from resc.places import CONF, HOME
 from resc.scenes.layout import rasterize
+from resc.sights import Shape
 from resc.term import Context, Observation
 from resc.viewing.colours import BACKGROUND, FRAME, OBSTACLE, PLAN, TEXT
 from resc.viewing.map_picture import SHADE_M
-from resc.viewing.sight import FIRST, MOVING, SECOND, SIGHTS, Pose, Shape, shapes
+from resc.viewing.sight import FIRST, MOVING, SECOND, colour_of, seen_by
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -64,10 +65,8 @@ def draw_all(folder: Path) -> list[Path]:
 
 
 def _observe(term: Observation, esdf: Float[Tensor, "1 h w"]) -> list[Shape]:
-    """What a term sees of the pose, if it sees the map; its noise comes from a fixed seed."""
-    if type(term) not in SIGHTS:
-        return []
-    term.bind(Context(dt_s=0.02, resolution_m=RESOLUTION_M, vehicle=None))
+    """What a term sees of the pose, if it draws that; its noise comes from a fixed seed."""
+    context = Context(dt_s=0.02, resolution_m=RESOLUTION_M, vehicle=None)
     tensors = {
         keys.POSITION_W: torch.tensor([POSITION]),
         keys.VELOCITY_W: torch.tensor([VELOCITY]),
@@ -79,12 +78,7 @@ def _observe(term: Observation, esdf: Float[Tensor, "1 h w"]) -> list[Shape]:
         keys.MAP_SIZE: torch.tensor([SIZE_M]),
     }
     generator = torch.Generator().manual_seed(1)
-    drawn = [torch.rand(1, term.step_draws, generator=generator)] if term.step_draws else []
-    numbers = term.compute(*(tensors[key] for key in term.reads), *drawn)
-    position, velocity = (torch.tensor([vector[:2]]) for vector in (POSITION, VELOCITY))
-    points = torch.tensor([[point[:2] for point in POINTS]])
-    pose = Pose(position, velocity, torch.tensor([YAW]), points)
-    return shapes(term, numbers, pose)
+    return seen_by(term, context, tensors, lambda n: torch.rand(1, n, generator=generator))
 
 
 def _draw(shown: list[Shape], esdf: Float[Tensor, "1 h w"], path: Path) -> None:
@@ -154,12 +148,12 @@ def _draw_shape(axes: Axes, shape: Shape) -> dict[str, Line2D]:
     label = shape.label
     if shape.kind == "outline":
         distance = math.dist(POSITION[:2], places[0])
-        axes.plot(*zip(*places, strict=True), color=shape.colour, linestyle=":", linewidth=1.2)
-        return {f"{label} {distance:.2f} m": Line2D([], [], color=shape.colour, linestyle=":")}
+        axes.plot(*zip(*places, strict=True), color=colour_of(shape), linestyle=":", linewidth=1.2)
+        return {f"{label} {distance:.2f} m": Line2D([], [], color=colour_of(shape), linestyle=":")}
     if shape.kind == "arrow":
-        arrow = {"arrowstyle": "-|>", "color": shape.colour, "linewidth": 2}
+        arrow = {"arrowstyle": "-|>", "color": colour_of(shape), "linewidth": 2}
         axes.annotate("", places[0], POSITION[:2], arrowprops=arrow | SHARP, zorder=7)
-        return {label: Line2D([], [], color=shape.colour, marker=">", linewidth=2)}
+        return {label: Line2D([], [], color=colour_of(shape), marker=">", linewidth=2)}
     if shape.kind in ("dots", "diamonds"):
         mark = _dots(axes, places, shape)
         if shape.values is not None:
@@ -167,7 +161,7 @@ def _draw_shape(axes: Axes, shape: Shape) -> dict[str, Line2D]:
         return {label: mark}
     if shape.kind == "edges":
         sector = [POSITION[:2], *places]
-        axes.add_patch(Polygon(sector, color=shape.colour, alpha=0.13, linewidth=0))
+        axes.add_patch(Polygon(sector, color=colour_of(shape), alpha=0.13, linewidth=0))
     for end in places:
         line = _line(axes, end, shape)
     return {label: _dots(axes, places, shape) if shape.kind == "edges" else line}
@@ -178,7 +172,7 @@ def _line(axes: Axes, end: tuple[float, float], shape: Shape) -> Line2D:
     (line,) = axes.plot(
         [POSITION[0], end[0]],
         [POSITION[1], end[1]],
-        color=shape.colour,
+        color=colour_of(shape),
         linewidth=0.7 if shape.kind == "rays" else 1.1,
         linestyle="--" if shape.kind == "free" else "-",
         zorder=4,
@@ -188,11 +182,11 @@ def _line(axes: Axes, end: tuple[float, float], shape: Shape) -> Line2D:
 
 def _dots(axes: Axes, places: list[tuple[float, float]], shape: Shape) -> Line2D:
     # Where the edges beside two guides coincide, both show.
-    sizes = {"dots": 3.5, "diamonds": 6, "edges": 6 if shape.colour == SECOND else 10}
+    sizes = {"dots": 3.5, "diamonds": 6, "edges": 6 if colour_of(shape) == SECOND else 10}
     (dots,) = axes.plot(
         *zip(*places, strict=True),
         marker="D" if shape.kind == "diamonds" else "o",
-        color=shape.colour,
+        color=colour_of(shape),
         markeredgecolor="white",
         markeredgewidth=0 if shape.kind == "dots" else 1,
         markersize=sizes[shape.kind],

@@ -12,6 +12,7 @@ from resc import keys
 from resc.errors import RecordingError
 from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
+from resc.sights import Shape
 from resc.viewing import layouts
 from resc.viewing.appearance import (
     FRONT,
@@ -29,7 +30,7 @@ from resc.viewing.appearance import (
 )
 from resc.viewing.episode_scene import EpisodeScene, load_scene
 from resc.viewing.scalars import Numbers
-from resc.viewing.sight import Shape
+from resc.viewing.sight import colour_of
 
 APPLICATION = "resc"
 LINE_M, RAY_M, DOT_M, TRAIL_M = 0.006, 0.004, 0.035, 0.015
@@ -213,9 +214,9 @@ def _send_sight(
 def _style(shape: Shape) -> rr.Points3D | rr.LineStrips3D:
     """Colour and radius of a shape, for all steps."""
     if shape.kind in ("dots", "diamonds"):
-        return rr.Points3D.from_fields(colors=[rgba(shape.colour)], radii=[DOT_M])
+        return rr.Points3D.from_fields(colors=[rgba(colour_of(shape))], radii=[DOT_M])
     radius = RAY_M if shape.kind in ("rays", "free") else LINE_M
-    return rr.LineStrips3D.from_fields(colors=[rgba(shape.colour)], radii=[radius])
+    return rr.LineStrips3D.from_fields(colors=[rgba(colour_of(shape))], radii=[radius])
 
 
 def _curves(numbers: Numbers) -> Iterator[tuple[str, Float[np.ndarray, " t"]]]:

@@ -17,6 +17,8 @@ from resc import keys
 from resc.envs.stages import SUCCESS
 from resc.errors import ConfigError, RecordingError
 from resc.scenes.layout import PARKED_M
+from resc.sights import Shape
+from resc.term import Observation
 from resc.viewing import layouts
 from resc.viewing.episode_scene import load_scene
 from resc.viewing.foxglove import write_scene
@@ -193,6 +195,33 @@ def test_observation_is_seen_from_the_vehicle(log, messages):
     assert rows[0, :2] == pytest.approx([x - 0.1, y + 0.1])
     assert rows[4, :2] == pytest.approx([x, y])
     assert rows[4, 3] == float(esdf[int(y / 0.1), int(x / 0.1)])
+
+
+class Gate(Observation):
+    """Of a package outside RESC: the way to the next control point, and how it is drawn."""
+
+    reads = (keys.CONTROL_POINTS_W, keys.POSITION_W)
+    columns = ("x", "y")
+
+    def compute(self, points, position):
+        return (points[:, 0] - position)[:, :2]
+
+    def sights(self, numbers, pose):
+        return [Shape("next gate", "arrow", "first", pose.at(numbers))]
+
+
+def test_an_observation_of_another_package_that_draws_itself_is_in_the_scene(compose, tmp_path):
+    gate = f"+observation.gate={{_target_:{__name__}.Gate}}"
+    street = ("num_envs=2", "recorder=mcap", "task=from_rest")
+    config = compose(*street, gate, f"allowed_targets=[{__name__}]")
+    log = fly_street(config, tmp_path)
+    path = write_scene(log, 0, tmp_path / "scene.mcap", allowed=[__name__])
+    with path.open("rb") as file:
+        topics = make_reader(file, decoder_factories=[DecoderFactory()])
+        drawn = [m for *_, m in topics.iter_decoded_messages(["/observation/gate"])]
+    line = drawn[0].entities[0].lines[0].points
+    assert [(point.x, point.y) for point in line] == [(1.0, 1.0), (1.5, 1.0)]
+    assert "gate" not in load_scene(log, 0).sights  # its package is not allowed
 
 
 def test_log_tells_beginning_control_points_and_outcome(log, messages):

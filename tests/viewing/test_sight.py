@@ -7,15 +7,18 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+from resc import keys
 from resc.build import build_terms, load_config
+from resc.errors import ConfigError
 from resc.maps.observation import MapObservation
+from resc.sights import Pose, Shape
 from resc.term import Context, Observation
 from resc.terms.observations.depth_scan import DepthScan
 from resc.terms.observations.esdf_patch import EsdfPatch
 from resc.terms.observations.heights import Heights
 from resc.terms.observations.kgp_esdf import KgpEsdf
 from resc.terms.observations.sdf_gradient import SdfGradient
-from resc.viewing.sight import SIGHTS, Pose, shapes
+from resc.viewing.sight import seen_by
 
 CONTEXT = Context(dt_s=0.02, resolution_m=0.1, vehicle=None)
 POSE = Pose(
@@ -29,7 +32,7 @@ POSE = Pose(
 
 def seen(term, *rows):
     term.bind(CONTEXT)
-    return {shape.label: shape for shape in shapes(term, torch.tensor(rows), POSE)}
+    return {shape.label: shape for shape in term.sights(torch.tensor(rows), POSE)}
 
 
 @pytest.mark.parametrize("measured", ["velocity", "control_point"])
@@ -98,4 +101,27 @@ def test_every_shipped_observation_of_the_map_is_drawn():
         if isinstance(term, MapObservation)
     ]
     assert len(terms) > 6
-    assert {type(term) for term in terms} <= SIGHTS.keys()
+    assert all(type(term).sights is not Observation.sights for term in terms)
+
+
+def test_a_shape_of_unknown_kind_or_role_is_refused():
+    places = torch.zeros(1, 1, 2)
+    with pytest.raises(ConfigError, match=r"'gate' has the kind 'dot'.*Did you mean 'dots'"):
+        Shape("gate", "dot", "point", places)
+    with pytest.raises(ConfigError, match=r"'gate' has the role 'points'.*Did you mean 'point'"):
+        Shape("gate", "dots", "points", places)
+
+
+class Blown(Observation):
+    """Draws itself from what no recording holds."""
+
+    reads = (("sensor", "wind"),)
+    columns = ("x", "y")
+
+    def sights(self, numbers, pose):
+        return [Shape("wind", "arrow", "point", pose.at(numbers))]
+
+
+def test_sights_from_what_is_not_recorded_are_refused():
+    with pytest.raises(ConfigError, match=r"observation\.blown reads sensor\.wind, so its sights"):
+        seen_by(Blown().named("blown"), CONTEXT, {keys.POSITION_W: torch.zeros(1, 3)}, torch.zeros)

@@ -15,7 +15,11 @@ from resc.maps.ray_casting import fan, rays
 from resc.math.rotation import heading
 from resc.math.sampling import gaussian
 from resc.quantities import Count, NotNegative, Share
+from resc.sights import Pose, Shape
 from resc.term import Context
+
+LOST_BEAM_M = 0.6
+"""Length at which a beam without a reading is drawn."""
 
 
 class DepthScan(MapObservation):
@@ -103,3 +107,16 @@ class DepthScan(MapObservation):
         in_range = torch.where(distance < self.range_m, measured, self.range_m)
         invalid = (lost < self.dropout) | (distance < self.nearest_m)
         return torch.where(invalid, 0.0, in_range)
+
+    def sights(self, numbers: Float[Tensor, "t c"], pose: Pose) -> list[Shape]:
+        """The beams and where they hit; those without a reading as stubs."""
+        share = torch.linspace(0.5, -0.5, numbers.shape[1])
+        bearing = pose.yaw.unsqueeze(-1) + self.field_of_view_rad * share
+        lost, hit = numbers == 0, numbers < self.range_m
+        ends = pose.around(bearing, numbers.where(~lost, torch.nan))
+        stub = torch.full_like(numbers, LOST_BEAM_M).where(lost, torch.nan)
+        return [
+            Shape("beams", "rays", "ray", ends),
+            Shape("beams without a reading", "free", "lost", pose.around(bearing, stub)),
+            Shape("depths", "dots", "measured", ends.where(hit.unsqueeze(-1), torch.nan)),
+        ]

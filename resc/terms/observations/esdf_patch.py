@@ -11,6 +11,7 @@ from resc.errors import ConfigError
 from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions
 from resc.math.rotation import heading
 from resc.quantities import Positive, Within
+from resc.sights import Pose, Shape
 from resc.term import FRAMES, Context
 
 
@@ -68,3 +69,11 @@ class EsdfPatch(MapObservation):
             cosine, sine = heading(attitude).unbind(-1)
             x, y = cosine * x - sine * y, sine * x + cosine * y
         return self.field(*maps).at(position[:, 0] + x, position[:, 1] + y).T
+
+    def sights(self, numbers: Float[Tensor, "t c"], pose: Pose) -> list[Shape]:
+        """The points looked up, with their distances."""
+        yaw = pose.yaw if self.alignment == "heading" else torch.zeros_like(pose.yaw)
+        cosine, sine = yaw.cos().unsqueeze(-1), yaw.sin().unsqueeze(-1)
+        x, y = self.grid.unbind(-1)
+        offset = torch.stack((cosine * x - sine * y, sine * x + cosine * y), -1)
+        return [Shape("points looked up", "dots", "point", pose.at(offset.flatten(1)), numbers)]

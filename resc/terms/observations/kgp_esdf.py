@@ -11,6 +11,7 @@ from resc.errors import ConfigError
 from resc.maps.constants import CONTROL_POINT_RADIUS_M, FREE_RANGE_M, INFLATION_M
 from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions, RayLength
 from resc.maps.ray_casting import free_distance, guided
+from resc.sights import Pose, Shape
 
 
 class KgpEsdf(MapObservation):
@@ -85,6 +86,19 @@ class KgpEsdf(MapObservation):
             ),
             -1,
         )
+
+    def sights(self, numbers: Float[Tensor, "t c"], pose: Pose) -> list[Shape]:
+        """The sectors between the edges, and the free distance."""
+        if self.free_distance == "velocity":
+            label, role, way = "along the velocity", "velocity", pose.course
+        else:
+            label, role, way = "toward control point 0", "first", pose.to_point(0)
+        free = pose.along(way, numbers[:, 8])
+        return [
+            Shape("edges beside the velocity", "edges", "velocity", pose.at(numbers[:, :4])),
+            Shape("edges beside control point 0", "edges", "first", pose.at(numbers[:, 4:8])),
+            Shape(f"free distance {label}", "free", role, free),
+        ]
 
 
 def _toward_velocity(

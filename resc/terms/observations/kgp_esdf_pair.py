@@ -8,9 +8,11 @@ from resc import keys
 from resc.maps.constants import CONTROL_POINT_RADIUS_M, FREE_RANGE_M
 from resc.maps.observation import MAP_KEYS, MapObservation
 from resc.maps.ray_casting import guided, rays, toward
+from resc.sights import Pose, Shape
 
 SAME_POINT_M = 0.01
 RESTING_MPS = 1e-6
+POINTS = ("first", "second")
 
 
 class KgpEsdfPair(MapObservation):
@@ -53,3 +55,14 @@ class KgpEsdfPair(MapObservation):
         free, _ = rays(field, here, headings, length, FREE_RANGE_M)
         points = torch.cat((edges, free[:, 0, :2].unsqueeze(-1)), -1)
         return torch.cat((points.flatten(1), free[:, 0, 2:]), -1)
+
+    def sights(self, numbers: Float[Tensor, "t c"], pose: Pose) -> list[Shape]:
+        """The sectors between the edges, and the free distances."""
+        found = []
+        for number, role in enumerate(POINTS):
+            label, own = f"control point {number}", numbers[:, 5 * number :]
+            free = pose.along(pose.to_point(number), own[:, 4])
+            found.append(Shape(f"edges beside {label}", "edges", role, pose.at(own[:, :4])))
+            found.append(Shape(f"free distance toward {label}", "free", role, free))
+        along = pose.along(pose.course, numbers[:, 10])
+        return [*found, Shape("free distance along the velocity", "free", "velocity", along)]

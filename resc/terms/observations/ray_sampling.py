@@ -13,6 +13,7 @@ from resc.errors import ConfigError
 from resc.maps.constants import FREE_RANGE_M
 from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions, RayLength
 from resc.maps.ray_casting import fan, rays, toward
+from resc.sights import Pose, Shape
 
 ANGLES_RAD = (1.571, 1.124, 0.730, 0.397, 0.140, 0.0, -0.140, -0.397, -0.730, -1.124, -1.571)
 """+-90 (i / 5)^1.5 degrees: denser around the control point."""
@@ -62,3 +63,11 @@ class RaySampling(MapObservation):
         length = torch.full_like(position[:, :1], self.range_m)
         reach, _ = rays(self.field(*maps), position[:, :2], direction, length, self.range_m)
         return (direction * reach.unsqueeze(-1)).flatten(1)
+
+    def sights(self, numbers: Float[Tensor, "t c"], pose: Pose) -> list[Shape]:
+        """The rays and where they end."""
+        ends = pose.at(numbers)
+        return [
+            Shape("sampled rays", "rays", "ray", ends),
+            Shape("end points", "dots", "point", ends),
+        ]

@@ -13,6 +13,9 @@ from resc.maps.constants import FREE_RANGE_M, SHORTEST_STEP_M
 from resc.maps.observation import MAP_KEYS, MapObservation, MapOptions, RayLength
 from resc.maps.ray_casting import fan, rays, toward
 from resc.quantities import Count
+from resc.sights import Pose, Shape
+
+POINTS = ("first", "second")
 
 
 class RaySearch(MapObservation):
@@ -83,6 +86,18 @@ class RaySearch(MapObservation):
         ends = (direction * reach.unsqueeze(-1)).gather(2, chosen)
         left, right, through = ends.unbind(2)
         return torch.cat((left, right, reach[..., :1], through), -1).flatten(1)
+
+    def sights(self, numbers: Float[Tensor, "t c"], pose: Pose) -> list[Shape]:
+        """The sectors between the edges, the free distances and the ways through."""
+        found = []
+        for number, role in enumerate(POINTS):
+            label, own = f"control point {number}", numbers[:, 7 * number :]
+            free = pose.along(pose.to_point(number), own[:, 4])
+            found.append(Shape(f"edges toward {label}", "edges", role, pose.at(own[:, :4])))
+            found.append(Shape(f"free distance toward {label}", "free", role, free))
+            through = pose.at(own[:, 5:7])
+            found.append(Shape(f"way through to {label}", "diamonds", role, through))
+        return found
 
 
 def _chosen_rays(blocked: Bool[Tensor, "n g b"]) -> Int[Tensor, "n g 3"]:
