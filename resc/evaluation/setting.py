@@ -5,7 +5,7 @@ from typing import Any
 
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.evaluation.courses import Course
-from resc.groups import names
+from resc.groups import EVALUATE, names
 from resc.scenes.laid_out import LaidOut
 from resc.scenes.layout import concatenate
 from resc.setup import set_up
@@ -14,7 +14,7 @@ POLICYS = names(lambda group: group.owner == "policy")
 """Groups taken from the policy's configuration, unless the command line names one."""
 SCENES = names(lambda group: group.owner == "scene")
 """Groups taken from it where a scene brings its own routes, too."""
-OWN = names(lambda group: group.owner == "evaluation" and group.stage)
+OWN = names(lambda g: g.owner == "evaluation" and g.stage and EVALUATE in g.runs)
 """Terms that are the evaluation's, whatever flies; the policy's sensors join its own."""
 MEASURING = ("limit_violations", "surface_clearance")
 """Sensors that metrics and terminations read: the evaluation's, not those of the training."""

@@ -14,7 +14,7 @@ from torch import Tensor
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import StepOutput, World
-from resc.errors import NumericalError
+from resc.errors import ConfigError, NumericalError
 from resc.flying.diagnosis import require_finite
 from resc.flying.episodes import RENEWED, EpisodeStatistics
 from resc.policies.networks import IS_INIT, STATE
@@ -160,8 +160,15 @@ class Collector:
 
     def _go_on(self, chosen: TensorDict) -> None:
         self._began = torch.zeros_like(self._began)
-        if self._memory is not None:
-            self._memory = cast(Tensor, chosen["next", STATE])
+        if self._memory is None:
+            return
+        if ("next", STATE) not in chosen.keys(include_nested=True):
+            raise ConfigError(
+                "The policy remembers, but explore() of the algorithm does not return "
+                f"('next', '{STATE}'); add it there, or take a model without memory, such as "
+                "model=mlp."
+            )
+        self._memory = cast(Tensor, chosen["next", STATE])
 
     def _restart(self, t: int, rows: Tensor) -> None:
         """Begins new episodes in some rows, with step `t` of the batch."""

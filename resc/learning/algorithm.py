@@ -1,6 +1,8 @@
 """The protocol of algorithms: a policy that explores, and batches that it learns from."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,13 @@ class LearningContext:
     seed: int = 0
     device: torch.device | str = "cpu"
     compile: bool = True
+
+    @contextmanager
+    def seeded(self) -> Iterator[None]:
+        """Networks made meanwhile have the weights of the run's seed."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            yield
 
 
 class Algorithm(ABC):
@@ -115,7 +124,7 @@ class Algorithm(ABC):
     def load_experience(self, folder: Path) -> None:  # noqa: B027
         """Takes what `save_experience` wrote, as far as the state loaded before counts it."""
 
-    def _make_policy(self, head: Head, gain: float = 0.01) -> Policy:
-        """The policy of the run's model, with weights from the run's seed."""
+    def make_policy(self, head: Head, gain: float = 0.01) -> Policy:
+        """A policy of the run's model; within `context.seeded()`, its weights are the seed's."""
         context = self.context
         return Policy(context.model, head, context.observation_width, gain)

@@ -217,9 +217,8 @@ class OffPolicy(Algorithm):
     def _make_networks(self, gamma: float) -> LossModule:
         """The loss with all its networks; those that are kept are `networks`."""
         context = self.context
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(context.seed)
-            policy = self._make_policy(self.head, gain=0.1)
+        with context.seeded():
+            policy = self.make_policy(self.head, gain=0.1)
             inputs = context.observation_width + context.critic_width + context.action_width
             value = ActionValue(context.model.value(inputs))
             loss = self._make_loss(policy, value)

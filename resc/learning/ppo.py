@@ -195,9 +195,8 @@ class Ppo(Algorithm):
 
     def _make_networks(self, initial_std: float) -> nn.ModuleDict:
         context = self.context
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(context.seed)
-            policy = self._make_policy(Gaussian(context.action_width, initial_std))
+        with context.seeded():
+            policy = self.make_policy(Gaussian(context.action_width, initial_std))
             value = context.model.value(context.observation_width + context.critic_width)
         networks: dict[str, nn.Module] = {"policy": policy, "value": value}
         if context.critic_width:

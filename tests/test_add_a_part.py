@@ -1,0 +1,119 @@
+"""docs/add-a-part.md, followed word by word: its files, its command."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from resc.learning.assemble import build_trainer
+from resc.learning.checkpoint import load_checkpoint, save_checkpoint
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "add-a-part.md").read_text()
+BLOCKS = re.findall(r"^(?:`(\S+)`\n\n)?```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+FILES = {name: text for name, _, text in BLOCKS if name}
+COMMAND, TRAINING = (shlex.split(text) for _, language, text in BLOCKS if language == "bash")
+EMPTY = ("mypackage/__init__.py", "mypackage/conf/__init__.py")
+
+
+def write(folder):
+    for name, text in {**FILES, **dict.fromkeys(EMPTY, "")}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def evaluate(folder, *arguments):
+    return run_script("evaluate.py", folder, *arguments)
+
+
+def run_script(script, folder, *arguments):
+    write(folder)
+    environment = {
+        "PYTHONPATH": f"{folder}:{ROOT}",
+        "PATH": "/usr/bin:/bin",
+        "OMP_NUM_THREADS": "1",
+    }
+    command = [sys.executable, ROOT / script, *arguments, f"hydra.run.dir={folder / 'run'}"]
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=200
+    )
+
+
+def test_the_command_of_the_page_compares_the_new_pilot(tmp_path):
+    assert COMMAND[:3] == ["PYTHONPATH=.", "python", "evaluate.py"]
+    small = (
+        "scenes=paper4_map15",
+        "flights=1",
+        "recorder=none",
+        "termination.time_limit.limit_s=6.0",
+    )
+    done = evaluate(tmp_path, *COMMAND[3:], *small)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["pilots"]["climb"]["pilot"] == {"height_m": "1.5"}
+    assert summary["pilots"]["climb"]["success_rate"] == 0.0
+    assert summary["pilots"]["policy"]["success_rate"] == 1.0
+
+
+@pytest.mark.slow
+def test_without_the_permission_it_is_one_sentence(tmp_path):
+    done = evaluate(tmp_path, *(text for text in COMMAND[3:] if "allowed" not in text))
+    assert done.returncode == 1
+    assert done.stderr.startswith(
+        "error: pilot.climb._target_ is 'mypackage.climb.Climb', outside "
+    )
+
+
+@pytest.mark.slow
+def test_the_command_of_the_page_trains_the_new_algorithm_with_the_new_model(tmp_path):
+    assert TRAINING[:3] == ["PYTHONPATH=.", "python", "train.py"]
+    small = (
+        "num_envs=8",
+        "pool_size=8",
+        "renew_scenes=1",
+        "evaluation_episodes=2",
+        "compile=false",
+    )
+    run = ("total_frames=768", "algorithm.steps=16", "recorder=none", *small)
+    done = run_script("train.py", tmp_path, *TRAINING[3:], *run)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["frames"] == 768
+
+
+def test_the_algorithm_and_the_model_of_the_page_go_on_bit_for_bit(tmp_path, compose, monkeypatch):
+    write(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    own = ("model._target_=mypackage.residual.Residual", "allowed_targets=[mypackage.]")
+    config = compose(
+        "+experiment=obstacle_free", "compile=false", "num_envs=8", "pool_size=8",
+        "algorithm.minibatch=8", *own,
+    )  # fmt: skip
+    config["algorithm"] = OmegaConf.create(
+        {
+            "_target_": "mypackage.reinforce.Reinforce",
+            "steps": 8,
+            "learning_rate": 1e-3,
+            "gamma": 0.9,
+        }
+    )
+    whole, half, again = (build_trainer(config) for _ in range(3))
+    first = [p.detach().clone() for p in whole.algorithm.parameters]
+    for _ in range(3):
+        whole.iterate()
+    half.iterate()
+    save_checkpoint(tmp_path / "checkpoint.pt", half)
+    load_checkpoint(tmp_path / "checkpoint.pt", again)
+    again.iterate()
+    again.iterate()
+    pairs = zip(whole.algorithm.parameters, again.algorithm.parameters, strict=True)
+    assert all(torch.equal(one, other) for one, other in pairs)
+    assert any(
+        not torch.equal(a, b) for a, b in zip(first, whole.algorithm.parameters, strict=True)
+    )
