@@ -9,6 +9,7 @@ from typing import Any
 import hydra
 import pytest
 import torch
+import type_checks  # noqa: F401 - before anything of resc
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
