@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from resc import keys
 from resc.errors import ConfigError
 from resc.evaluation.setting import build_flying_env, settings_for
-from resc.flying.pilot import Pilot, StoredPolicy
+from resc.flying.pilot import FolderPilot, Pilot
 from resc.flying.switch import Switch
 
 OBSTACLES = Path(__file__).parents[2] / "policies" / "obstacles"
@@ -29,7 +29,7 @@ def test_own_observation_is_that_of_the_environment(env, history, evaluation, co
     stored = OmegaConf.load(OBSTACLES / "config.yaml")
     stored.env.history = history
     env = build_flying_env([corridor(3)], settings_for(evaluation(), stored, own_routes=False))
-    pilot = StoredPolicy(folder=str(OBSTACLES), own_observation=True)
+    pilot = FolderPilot(folder=str(OBSTACLES), own_observation=True)
     pilot.policy.config.env.history = history
     observation = env.restart(torch.arange(3))
     pilot.begin(3, env.stages, env.pool.shared)
@@ -39,7 +39,7 @@ def test_own_observation_is_that_of_the_environment(env, history, evaluation, co
 
 
 def test_what_a_policy_would_have_to_see_and_is_not_there_is_named(env):
-    pilot = StoredPolicy(folder="policies/dial", own_observation=True).named("dial")
+    pilot = FolderPilot(folder="policies/dial", own_observation=True).named("dial")
     with pytest.raises(ConfigError, match=r"pilot\.dial: observation\.limits reads limits\."):
         pilot.check(env.stages)
 
@@ -101,7 +101,7 @@ def test_two_pilots_by_their_names_are_needed():
 
 
 def test_both_pilots_are_asked_whether_they_can_fly(env):
-    dial = StoredPolicy(folder="policies/dial", own_observation=True)
+    dial = FolderPilot(folder="policies/dial", own_observation=True)
     pilot = Switch(pilots={"near": dial, "clear": Always(0.0)}).named("switch")
     with pytest.raises(ConfigError, match=r"pilot\.switch\.pilots\.near: observation\.limits"):
         pilot.check(env.stages)
