@@ -22,9 +22,15 @@ VERSION = hashlib.sha1(Path(__file__).read_bytes()).hexdigest()[:8]
 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that checks what it is given and returns."""
+    """A function that checks what it is given and returns.
+
+    Hints in quotes are for the static type checker alone: what they name may not be imported.
+    """
+    hints = function.__annotations__
+    function.__annotations__ = {n: hint for n, hint in hints.items() if not isinstance(hint, str)}
     checks = beartype(function)
-    if not any("jaxtyping." in str(hint) for hint in function.__annotations__.values()):
+    function.__annotations__ = checks.__annotations__ = hints
+    if not any("jaxtyping." in str(hint) for hint in hints.values()):
         return checks
 
     @functools.wraps(function)
