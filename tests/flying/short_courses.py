@@ -68,7 +68,7 @@ class Pilot(Policy):
 @pytest.fixture(scope="session")
 def stored(compose: Callable[..., DictConfig]) -> DictConfig:
     """The configuration that comes with a policy; a plain one, as the pilot sees no obstacles."""
-    config = compose("obstacle_observation=none", "reward=[progress]")
+    config = compose("obstacle_observation=none", "reward=[progress]", "algorithm.minibatch=128")
     return OmegaConf.create(OmegaConf.to_container(config, resolve=True))
 
 
