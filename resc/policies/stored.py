@@ -23,9 +23,9 @@ from resc.build import ALLOWED, build, load_config, locate
 from resc.command_line import command
 from resc.envs.quadrotor import layout_of
 from resc.envs.stages import Stages
-from resc.errors import CheckpointError
+from resc.errors import CallError, CheckpointError
 from resc.places import HOME
-from resc.policies.networks import STATE, Model
+from resc.policies.networks import IS_INIT, STATE, Model
 from resc.policies.policy import Policy
 from resc.run_folder import CHECKPOINT, CONFIG, LATEST, POLICY, latest, replacing
 from resc.settings import fingerprint
@@ -58,14 +58,33 @@ class StoredPolicy(TensorDictModuleBase):
     def forward(
         self, observation: Float[Tensor, "*n d"] | TensorDictBase
     ) -> Float[Tensor, "*n a"] | TensorDictBase:
-        """The action [n, a] for observations [n, d] of first steps, or the TensorDict with it."""
+        """The action [n, a] for observations [n, d], or the TensorDict with it.
+
+        Raises:
+            CallError: The policy remembers, and is not told what.
+        """
+        self._require_memory(observation)
         if not isinstance(observation, TensorDictBase):
-            rows = observation.reshape(-1, observation.shape[-1])
-            return self.policy.decide(rows)[0].unflatten(0, observation.shape[:-1])
+            return self.policy.decide(observation)[0]
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             out = self.policy(observation.select(*self.in_keys))
         out["action"] = out["action"].clamp(-1, 1)
         return observation.update(out.select(*self.out_keys))
+
+    def _require_memory(self, given: Tensor | TensorDictBase) -> None:
+        """What a policy that remembers is given must say what it remembers."""
+        if not self.policy.state_width:
+            return
+        if not isinstance(given, TensorDictBase):
+            raise CallError(
+                "This policy remembers, so an observation alone does not say what it does; call "
+                "policy.decide(observation, state) of it, which returns the next state."
+            )
+        if STATE not in given:
+            raise CallError(
+                f"This policy remembers, but the TensorDict has no '{STATE}'; add it and "
+                f"'{IS_INIT}' to the environment, as TorchRL's TensorDictPrimer and InitTracker do."
+            )
 
     def require_layout(self, stages: Stages) -> None:
         """Raises CheckpointError, naming the first difference, if observations differ."""

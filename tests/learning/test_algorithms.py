@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 
-from resc.errors import CheckpointError, ConfigError
+from resc.errors import CallError, CheckpointError, ConfigError
 from resc.learning.assemble import build_trainer, restore
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.policies.stored import load_policy, save_policy
@@ -79,7 +80,15 @@ def test_a_stored_policy_acts_as_the_trained_one(begin, compose, algorithm, mode
     trainer = begin(algorithm, model)
     trainer.iterate()
     save_policy(tmp_path, trainer.algorithm.networks, trainer.env.stages, config)
-    stored = load_policy(tmp_path).policy
+    whole = load_policy(tmp_path)
+    stored = whole.policy
+    if model == "gru":
+        for given in (
+            trainer.env.observation,
+            TensorDict({"observation": torch.zeros(1, 25)}, [1]),
+        ):
+            with pytest.raises(CallError, match="This policy remembers"):
+                whole(given)
     state = ours = None
     for _ in range(2):  # what it remembers goes on, too
         wanted, ours = trainer.policy.decide(trainer.env.observation, ours)
