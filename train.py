@@ -90,8 +90,7 @@ def run(config: DictConfig, folder: Path, overrides: Sequence[str]) -> None:
         except BaseException as error:
             error.add_note(f"The policy is trained and kept; fly the held-out episodes by: {again}")
             raise
-        rates = {"success_rate": flights.success_rate, "collision_rate": flights.collision_rate}
-        summary |= {"episodes": len(flights), **rates}
+        summary |= flights.rates
         finish_run(folder, summary, "train")
         print(f"{succeeded(summary)}. Results: {folder}")
 

@@ -61,6 +61,12 @@ class Flights:
         return float(self.collided.double().mean())
 
     @property
+    def rates(self) -> dict[str, float | int]:
+        """How many flights there are, and both shares."""
+        rates = {"success_rate": self.success_rate, "collision_rate": self.collision_rate}
+        return {"episodes": len(self), **rates}
+
+    @property
     def names(self) -> list[str]:
         """The outcome of each flight."""
         return [self.outcomes[number] for number in self.outcome.tolist()]
