@@ -18,7 +18,8 @@ from resc.log_command.arguments import (
     output,
     selected,
 )
-from resc.recording.reader import RolloutLog, require_index
+from resc.recording.listing import require_index
+from resc.recording.reader import RolloutLog
 
 Writer = Callable[[RolloutLog, int, Path], object]
 PICTURES = (".png", ".pdf", ".svg")

@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from resc.errors import RecordingError
-from resc.recording.schema import EPISODE_KEYS
+from resc.recording.schema import ARRAY_FIELDS, EPISODE_KEYS, type_name
 from resc.recording.specification import Specification
 
 Leaves = dict[tuple[str, ...], Tensor]
@@ -47,6 +47,25 @@ def episode_leaves(episodes: TensorDictBase) -> Leaves:
             expected = ", ".join(EPISODE_KEYS)
             raise RecordingError(f"The episodes have no '{name}'; expected {expected}.")
     return leaves
+
+
+def array_leaves(arrays: Mapping[str, Tensor], what: str) -> Leaves:
+    """Named arrays as leaves, of the types that a message can hold."""
+    for name, tensor in arrays.items():
+        if type_name(tensor.dtype) not in ARRAY_FIELDS:
+            raise RecordingError(
+                f"{what} array '{name}' has dtype {tensor.dtype}; "
+                f"convert it to one of {', '.join(ARRAY_FIELDS)}."
+            )
+    return {(name,): tensor for name, tensor in arrays.items()}
+
+
+def rows_of_recorded(leaves: Leaves, specification: Specification, num_envs: int) -> Leaves:
+    """The rows of recorded environments; nothing where there are none."""
+    if leaves and specification.num_envs < num_envs:
+        rows = leaves[("env_id",)] < specification.num_envs
+        leaves = {key: leaf[rows.to(leaf.device)] for key, leaf in leaves.items()}
+    return leaves if leaves and len(leaves[("env_id",)]) > 0 else {}
 
 
 @dataclass(frozen=True)

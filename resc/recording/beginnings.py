@@ -1,8 +1,9 @@
 """How recorded episodes began: the world at their first step, and the scenes they were flown in."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
+import polars as pl
 import torch
 from jaxtyping import Int
 from tensordict import TensorDict
@@ -16,6 +17,26 @@ from resc.recording.tensors import tensors_of
 
 Arrays = dict[str, Tensor]
 Numbers = Int[np.ndarray, " e"]
+ByRun = Iterable[tuple[list[Source], pl.DataFrame]]
+"""Consecutive episodes of one run, with its files."""
+
+
+def starts_of(parts: ByRun) -> TensorDict:
+    """`worlds_at_start` of episodes of several runs `[E]`."""
+    found = [
+        worlds_at_start(sources, rows["env_id"].to_numpy(), rows["start_step"].to_numpy())
+        for sources, rows in parts
+    ]
+    return torch.cat(found)  # pyright: ignore[reportArgumentType, reportReturnType]
+
+
+def scenes_of(parts: ByRun) -> Arrays:
+    """`scenes_in_use` of episodes of several runs `[E, ...]`."""
+    found = [
+        scenes_in_use(sources, rows["scene"].to_numpy(), rows["start_step"].to_numpy())
+        for sources, rows in parts
+    ]
+    return {name: torch.cat([part[name] for part in found]) for name in found[0]}
 
 
 def worlds_at_start(sources: Sequence[Source], env_ids: Numbers, steps: Numbers) -> TensorDict:

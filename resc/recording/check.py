@@ -133,7 +133,7 @@ def _check_steps(log: RolloutLog, done: Checked) -> None:
         total=log.num_steps * log.num_envs, unit="step", unit_scale=True, disable=None
     ) as bar:
         for i, batch in enumerate(log.batches):
-            spans = log.spans[log.spans["batch"] == i]
+            spans = log.listing.spans[log.listing.spans["batch"] == i]
             with _noting(done):
                 arrays = read_environments(log.columns, [batch], 0, log.num_envs - 1)
                 done.faults += _value_faults(log.columns, batch, arrays)
@@ -150,7 +150,7 @@ def _check_steps(log: RolloutLog, done: Checked) -> None:
 
 def _listing_faults(log: RolloutLog) -> Iterator[str]:
     """What the table of episodes says of itself."""
-    table = log.episodes.with_columns(run=pl.Series(log.runs, dtype=pl.String))
+    table = log.episodes.with_columns(run=pl.Series(log.listing.runs, dtype=pl.String))
     length = pl.col("end_step") - pl.col("start_step") + 1
     rows = {
         "has another length than its first and last step say": length != pl.col("length"),

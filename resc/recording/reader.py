@@ -1,8 +1,6 @@
 """Recorded rollouts as TensorDicts and dataframes."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
 from functools import cached_property
 from itertools import chain, groupby
 from pathlib import Path
@@ -13,22 +11,13 @@ import polars as pl
 from jaxtyping import Int, Shaped
 
 from resc.errors import RecordingError
-from resc.recording.decode import (
-    SPAN,
-    Batch,
-    batches,
-    ranges,
-    read_environments,
-    read_spans,
-    spans_of,
-)
-from resc.recording.history import Superseded, joined, superseded
-from resc.recording.location import recordings_at
+from resc.recording.decode import Batch, read_environments
+from resc.recording.history import Superseded, superseded
+from resc.recording.listing import Listing, require_index
+from resc.recording.opening import opened
 from resc.recording.schema import Column
-from resc.recording.selection import Selection
-from resc.recording.source import Source, open_sources
-from resc.recording.specification import Specification
-from resc.recording.tables import ROWS, as_pandas, episode_table, step_table
+from resc.recording.selection import Recorded, Selection
+from resc.recording.tables import ROWS, as_pandas, step_table
 
 if TYPE_CHECKING:
     # Imported where they are made: that takes longer than most commands do.
@@ -38,7 +27,7 @@ if TYPE_CHECKING:
     import torch
 
 
-class RolloutLog:
+class RolloutLog(Recorded):
     """The recorded rollouts of a run: one file, those of a directory, of a run, or of a pattern.
 
     A file that was cut, or is still being written, is read up to its last complete batch; a later
@@ -47,30 +36,9 @@ class RolloutLog:
     """
 
     def __init__(self, location: str | Path) -> None:
-        paths = recordings_at(location)
-        with _one_of(paths):
-            self._sources = [source for path in paths for source in open_sources(path)]
-        if not self._sources:
-            raise RecordingError(
-                f"{location} was cut before the recording began; there is nothing to read."
-            )
+        self._sources, self.batches = opened(location)
         self._specification = self._sources[0].specification
-        for source in self._sources[1:]:
-            if _common(source.specification) != _common(self._specification):
-                raise RecordingError(
-                    f"{source.path} and {self._sources[0].path} differ in columns, environments or "
-                    "time step; open them one at a time."
-                )
-        with _one_of(paths):
-            self._sources = joined(self._sources)
-            self.batches = list(chain.from_iterable(batches(source) for source in self._sources))
-        places: dict[tuple[str, int], Path] = {}
-        for batch in self.batches:
-            other = places.setdefault((batch.source.run, batch.start_step), batch.source.path)
-            if other != batch.source.path:
-                raise RecordingError(
-                    f"{batch.source.path} and {other} hold the same steps; leave one of them out."
-                )
+        self.listing = Listing(self._sources, self.batches, self.outcomes)
 
     def __repr__(self) -> str:
         """What it holds, in a line: files, steps, environments, episodes."""
@@ -169,7 +137,7 @@ class RolloutLog:
         names = chain.from_iterable(source.specification.outcomes for source in self._sources)
         return tuple(dict.fromkeys(names))
 
-    @cached_property
+    @property
     def episodes(self) -> pl.DataFrame:
         """Finished episodes, one a row, in the order recorded; reads no rollout chunk.
 
@@ -177,10 +145,7 @@ class RolloutLog:
         and `end_step` (inclusive), `length`, `return_`, `difficulty`, `success`, `outcome`,
         `scene`, `seed`, `file`, and `complete`: whether all its steps are in these files.
         """
-        found = self.spans["upper"] - self.spans["lower"]
-        steps = np.bincount(self.spans["episode"], found, minlength=len(self._listed))
-        complete = steps == self._listed["length"].to_numpy()
-        return self._listed.drop("run").with_columns(complete=pl.Series(complete, dtype=pl.Boolean))
+        return self.listing.table
 
     def __len__(self) -> int:
         return len(self.episodes)
@@ -241,27 +206,15 @@ class RolloutLog:
 
     def starts(self, numbers: Sequence[int]) -> "tensordict.TensorDict":
         """As `start`, of several episodes `[E]`."""
-        import torch
+        from resc.recording.beginnings import starts_of
 
-        from resc.recording.beginnings import worlds_at_start
-
-        parts = [
-            worlds_at_start(sources, rows["env_id"].to_numpy(), rows["start_step"].to_numpy())
-            for sources, rows in self._by_run(numbers)
-        ]
-        return torch.cat(parts)  # pyright: ignore[reportArgumentType, reportReturnType]
+        return starts_of(self.listing.by_run(numbers))
 
     def scenes(self, numbers: Sequence[int]) -> "dict[str, torch.Tensor]":
         """As `scene`, of several episodes, each array `[E, ...]`."""
-        import torch
+        from resc.recording.beginnings import scenes_of
 
-        from resc.recording.beginnings import scenes_in_use
-
-        parts = [
-            scenes_in_use(sources, rows["scene"].to_numpy(), rows["start_step"].to_numpy())
-            for sources, rows in self._by_run(numbers)
-        ]
-        return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+        return scenes_of(self.listing.by_run(numbers))
 
     def to_tensordict(self) -> "tensordict.TensorDict":
         """Everything recorded, `[T_total, N]`."""
@@ -292,117 +245,17 @@ class RolloutLog:
         self, numbers: Int[np.ndarray, " e"]
     ) -> tuple[Shaped[np.ndarray, " rows"], Int[np.ndarray, " e"]]:
         """The steps of some episodes one after the other, as records, and how many each has."""
-        counts = self.episodes["length"].to_numpy()[numbers]
-        partial = numbers[~self.episodes["complete"].to_numpy()[numbers]]
-        if len(partial):
-            raise RecordingError(
-                f"Of {len(partial)} of these {len(numbers)} episodes, such as {partial[0]}, not "
-                "all steps are recorded in these files; leave them out with where(complete=True), "
-                "or read what there is with env()."
-            )
-        firsts = np.searchsorted(self.spans["episode"], [numbers, numbers + 1])
-        pieces = firsts[1] - firsts[0]
-        rows = np.repeat(firsts[0], pieces) + ranges(pieces)
-        return read_spans(self.columns, self.batches, self.spans[rows]), counts
-
-    @cached_property
-    def _listed(self) -> pl.DataFrame:
-        return episode_table(self._sources, self.outcomes)
-
-    @cached_property
-    def runs(self) -> list[str]:
-        """The run that each episode is of."""
-        return self._listed["run"].to_list()
-
-    @cached_property
-    def spans(self) -> Shaped[np.ndarray, " s"]:
-        """Where the recorded steps of the episodes are: `decode.SPAN`, by episode, then by time."""
-        columns = ("index", "env_id", "start_step", "end_step")
-        episodes = {name: self._listed[name].to_numpy() for name in columns}
-        owners, found = np.array(self.runs, object), []
-        for run in dict.fromkeys(self.runs):
-            numbers = [i for i, batch in enumerate(self.batches) if batch.source.run == run]
-            numbers.sort(key=lambda number: self.batches[number].start_step)
-            own = {name: values[owners == run] for name, values in episodes.items()}
-            found.append(spans_of(self.batches, np.array(numbers, np.int64), own))
-        spans = np.concatenate([np.empty(0, SPAN), *found])
-        return spans[np.argsort(spans["episode"], kind="stable")]
-
-    def _by_run(self, numbers: Sequence[int]) -> Iterator[tuple[list[Source], pl.DataFrame]]:
-        """Consecutive episodes of one run, with its files."""
-        for number in numbers:
-            require_index(number, len(self), "episode", "episodes")
-        for run, group in groupby(numbers, lambda number: self.runs[number]):
-            sources = [source for source in self._sources if source.run == run]
-            yield sources, self.episodes[list(group)]
+        return self.listing.steps_of(numbers)
 
     def _read(self, first: int, last: int, found: Sequence[Batch]) -> "tensordict.TensorDict":
         """All steps of environments `first` to `last` in some batches."""
-        from tensordict import TensorDict
+        from resc.recording.tensors import of_environments
 
-        from resc.recording.tensors import as_tensor
-
-        arrays = read_environments(self.columns, found, first, last)
-        result = TensorDict({}, batch_size=arrays[0].shape[:2])
-        for column, array in zip(self.columns, arrays, strict=True):
-            result[column.key] = as_tensor(column, array)
-        return result
+        return of_environments(self.columns, read_environments(self.columns, found, first, last))
 
     def _table(self, numbers: Sequence[int]) -> pl.DataFrame:
         """The table of steps of some batches."""
         found, last = [self.batches[number] for number in numbers], self.num_envs - 1
         arrays = read_environments(self.columns, found, 0, last, by_component=True)
-        lengths = np.array([batch.steps for batch in found], np.int64)
-        starts = np.array([batch.start_step for batch in found], np.int64)
-        steps = np.repeat(starts, lengths) + ranges(lengths)
-        offsets = np.full(self.num_batches, -1)
-        offsets[list(numbers)] = np.cumsum(lengths) - lengths
-        spans = self.spans[offsets[self.spans["batch"]] >= 0]
-        first = spans["env_id"] * len(steps) + offsets[spans["batch"]] + spans["lower"]
-        counts = spans["upper"] - spans["lower"]
-        index = np.full(self.num_envs * len(steps), -1)
-        index[np.repeat(first, counts) + ranges(counts)] = np.repeat(spans["episode"], counts)
-        # Steps of no episode have index -1, the last entry.
-        episode = np.append(self._listed["episode"].to_numpy(), -1)
-        about = {
-            "index": index,
-            "env_id": np.repeat(np.arange(self.num_envs), len(steps)),
-            "episode": episode[index],
-            "step": np.tile(steps, self.num_envs),
-        }
         values = [array.T.reshape(array.shape[2], -1).T for array in arrays]
-        return step_table(self.columns, about, values)
-
-
-@contextmanager
-def _one_of(paths: Sequence[Path]) -> Iterator[None]:
-    """Says of one file that cannot be read how to read the others, if there are any."""
-    try:
-        yield
-    except RecordingError as error:
-        if len(paths) == 1:
-            raise
-        raise RecordingError(
-            f"{error} To read the rest, leave it out, or open the others by name."
-        ) from error
-
-
-def require_index(index: int, count: int, what: str, plural: str) -> None:
-    """Refuses a number that counts nothing recorded; a negative one does not count from the end.
-
-    Raises:
-        RecordingError: It is below 0, not below `count`, or no whole number.
-    """
-    if isinstance(index, bool) or not hasattr(index, "__index__") or not 0 <= index < count:
-        last = f"the last is {count - 1}" if count else "there is none"
-        raise RecordingError(
-            f"There is no {what} {index}; the recording holds {count} {plural}, counted from 0: "
-            f"{last}."
-        )
-
-
-def _common(specification: Specification) -> Specification:
-    """What files that are read together must agree on."""
-    own = {"session": "", "outcomes": (), "round_bits": None, "every_n_batches": 1}
-    written = {"earlier": (), "first_step": None, "format": ""}
-    return replace(specification, **own, **written)
+        return step_table(self.columns, self.listing.about(numbers), values)

@@ -1,16 +1,18 @@
 """Some episodes of a recording: filtered, one after the other, or as one table."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
-from jaxtyping import Int
+from jaxtyping import Int, Shaped
 from polars.exceptions import PolarsError
 
 from resc.errors import RecordingError, nearest
 from resc.recording.conditions import require_names, require_value
 from resc.recording.decode import ranges
+from resc.recording.schema import Column
 from resc.recording.tables import ROWS, as_pandas, step_table
 
 if TYPE_CHECKING:
@@ -20,11 +22,46 @@ if TYPE_CHECKING:
     import tensordict
     import torch
 
-    from resc.recording.reader import RolloutLog
-
 TRAJECTORY = ("collector", "traj_ids")
 """Where TorchRL's samplers look for the number of the episode that a step belongs to."""
 _MOST_AT_ONCE = 1024
+
+
+class Recorded(ABC):
+    """What a selection asks of the recording that it is a part of."""
+
+    @property
+    @abstractmethod
+    def config(self) -> "omegaconf.Container":
+        """The configuration of the run."""
+
+    @property
+    @abstractmethod
+    def metadata(self) -> dict[str, str]:
+        """Facts about the run."""
+
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[Column, ...]:
+        """What is recorded of each step."""
+
+    @abstractmethod
+    def episode(self, index: int) -> "tensordict.TensorDict":
+        """The steps `[T]` of one episode."""
+
+    @abstractmethod
+    def steps_of(
+        self, numbers: Int[np.ndarray, " e"]
+    ) -> tuple[Shaped[np.ndarray, " rows"], Int[np.ndarray, " e"]]:
+        """The steps of some episodes one after the other, as records, and how many each has."""
+
+    @abstractmethod
+    def starts(self, numbers: Sequence[int]) -> "tensordict.TensorDict":
+        """The state of the simulator before the first step of some episodes, `[E]`."""
+
+    @abstractmethod
+    def scenes(self, numbers: Sequence[int]) -> "dict[str, torch.Tensor]":
+        """What some episodes were flown with, each array `[E, ...]`."""
 
 
 class Selection:
@@ -38,7 +75,7 @@ class Selection:
         episodes: Rows of its table of episodes.
     """
 
-    def __init__(self, log: "RolloutLog", episodes: pl.DataFrame) -> None:
+    def __init__(self, log: Recorded, episodes: pl.DataFrame) -> None:
         self._log = log
         self.episodes = episodes
 

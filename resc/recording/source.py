@@ -16,8 +16,9 @@ from mcap.writer import MCAP0_MAGIC
 from resc.command_line import shell
 from resc.errors import RecordingError
 from resc.recording import records
+from resc.recording.contents import Contents, is_summed, places, read_summary, scan
 from resc.recording.rearranged import Copy, arranged
-from resc.recording.records import ChunkRef, Contents, Place
+from resc.recording.records import ChunkRef, Place
 from resc.recording.schema import ROLLOUT
 from resc.recording.segments import ACTIVE, LIBRARY, NUMBERED
 from resc.recording.specification import Specification, unsealed
@@ -216,7 +217,7 @@ def open_sources(path: Path) -> list[Source]:
     found = []
     for copy in arranged(path, status.st_mtime_ns, status.st_size, specification):
         with copy.path.open("rb") as file:
-            inner = records.read_summary(file, copy.path.stat().st_size)
+            inner = read_summary(file, copy.path.stat().st_size)
         inner.complete, inner.counts, inner.read_to = copy.complete, None, copy.read_to
         source = _source(path, copy.specification, run, inner, contents.attachments)
         said = [f"{path}: {sentence}" for sentence in (*lacking, *copy.lacking)]
@@ -291,7 +292,7 @@ def _described(path: Path) -> tuple[dict[str, dict[str, str]], Contents, bool] |
         contents = _contents(file, path, size)
         as_recorded = contents is not None
         if contents is None:
-            contents = records.places(file, size)
+            contents = places(file, size)
         metadata = {}
         for place in contents.metadata:
             with _blaming(path, place.offset, "its description is there; copy it again"):
@@ -309,14 +310,14 @@ def _contents(file: IO[bytes], path: Path, size: int) -> Contents | None:
     if records.library(file, size) not in (None, LIBRARY):
         return None
     try:
-        contents = records.read_summary(file, size)
+        contents = read_summary(file, size)
     except ValueError:
-        if records.ends(file, size) and not records.is_summed(file, size):
+        if records.ends(file, size) and not is_summed(file, size):
             return None
         with _blaming(
             path, 0, "neither its summary nor its first chunk can be read; copy it again"
         ):
-            return records.scan(file, size)
+            return scan(file, size)
     return contents if _as_recorded(contents) else None
 
 

@@ -1,6 +1,6 @@
 """What is read as tensors: apart, because importing torch takes longer than most commands do."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -16,6 +16,16 @@ def to_tensordict(columns: tuple[Column, ...], records: Shaped[np.ndarray, "..."
     result = TensorDict({}, batch_size=records.shape)
     for i, column in enumerate(columns):
         result[column.key] = as_tensor(column, records[str(i)].copy())
+    return result
+
+
+def of_environments(
+    columns: tuple[Column, ...], arrays: Sequence[Shaped[np.ndarray, "t n _"]]
+) -> TensorDict:
+    """One array for each column with the recorded keys and shapes, `[T, N]`."""
+    result = TensorDict({}, batch_size=arrays[0].shape[:2])
+    for column, array in zip(columns, arrays, strict=True):
+        result[column.key] = as_tensor(column, array)
     return result
 
 

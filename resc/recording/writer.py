@@ -13,29 +13,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
-import numpy as np
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from resc.errors import RecordingError
-from resc.recording import events, wire
 from resc.recording.batches import (
-    HostBatch,
-    Leaves,
+    array_leaves,
     column_leaves,
     episode_leaves,
     host_batch,
+    rows_of_recorded,
     to_host,
 )
-from resc.recording.schema import (
-    ARRAY_FIELDS,
-    EPISODES,
-    ROLLOUT,
-    STARTS,
-    WORLD,
-    Column,
-    type_name,
-)
+from resc.recording.messages import MessageWriter
+from resc.recording.schema import Column
 from resc.recording.segments import FileHead, Segments
 from resc.recording.source import sessions_in
 from resc.recording.specification import Specification, chosen_columns, require
@@ -109,8 +100,7 @@ class RolloutRecorder:
         texts = all(isinstance(value, str) for value in metadata.values())
         require(texts, "metadata", dict(metadata), "text values only")
         self._directory = Path(directory)
-        self._batches = self._next_step = self._written = 0
-        self._scenes: dict[str, np.ndarray] = {}
+        self._batches = self._next_step = 0
         try:
             self._segments = Segments(
                 self._directory,
@@ -121,7 +111,8 @@ class RolloutRecorder:
                 when_full=when_full,
             )
         except OSError as error:
-            raise RecordingError(self._explain(error)) from error
+            raise RecordingError(_explained(error, self._directory, 0)) from error
+        self._messages = MessageWriter(self._segments, self._specification)
         self._error: Exception | None = None
         self._reported = self._closing = False
         self._process = os.getpid()
@@ -133,7 +124,7 @@ class RolloutRecorder:
     @property
     def batches_written(self) -> int:
         """Batches that are on the disk."""
-        return self._written
+        return self._messages.written
 
     def put(
         self,
@@ -150,9 +141,11 @@ class RolloutRecorder:
         right after it: `env_id` and `step` [S], and any arrays [S, ...] that say how.
         """
         self._check_open()
-        begun = self._of_recorded(_array_leaves(starts or {}, "Starts"))
-        rollout = column_leaves(batch, self._specification, self._num_envs)
-        ended = self._of_recorded(episode_leaves(episodes)) if episodes is not None else {}
+        specification, num_envs = self._specification, self._num_envs
+        begun = rows_of_recorded(array_leaves(starts or {}, "Starts"), specification, num_envs)
+        rollout = column_leaves(batch, specification, num_envs)
+        ended = episode_leaves(episodes) if episodes is not None else {}
+        ended = rows_of_recorded(ended, specification, num_envs)
         if start_step < self._next_step:
             raise RecordingError(
                 f"A batch starts at step {start_step}, before step {self._next_step} where the "
@@ -160,10 +153,10 @@ class RolloutRecorder:
             )
         self._next_step = start_step + len(batch)
         number, self._batches = self._batches, self._batches + 1
-        if number % self._specification.every_n_batches != 0:
+        if number % specification.every_n_batches != 0:
             rollout = {}
         copies = host_batch(number, start_step, rollout, ended, begun)
-        self._queue.put(partial(self._write_batch, copies))
+        self._queue.put(partial(self._messages.write_batch, copies))
 
     def put_world(self, message: Mapping[str, Tensor], start_step: int) -> None:
         """Record the scenes used from `start_step` on: named arrays [S, ...].
@@ -172,8 +165,9 @@ class RolloutRecorder:
         replace all.
         """
         self._check_open()
-        leaves, wait = to_host(_array_leaves(message, "World"))
-        self._queue.put(partial(self._write_world, leaves, wait, start_step, time.time_ns()))
+        leaves, wait = to_host(array_leaves(message, "World"))
+        write = self._messages.write_world
+        self._queue.put(partial(write, leaves, wait, start_step, time.time_ns()))
 
     def flush(self) -> None:
         """Wait until everything put so far is on the disk."""
@@ -209,13 +203,6 @@ class RolloutRecorder:
                 raise
             error.add_note(str(failure))  # the first error is the one to read
 
-    def _of_recorded(self, leaves: Leaves) -> Leaves:
-        """The rows of recorded environments; nothing where there are none."""
-        if leaves and self._specification.num_envs < self._num_envs:
-            rows = leaves[("env_id",)] < self._specification.num_envs
-            leaves = {key: leaf[rows.to(leaf.device)] for key, leaf in leaves.items()}
-        return leaves if leaves and len(leaves[("env_id",)]) > 0 else {}
-
     def _check_open(self) -> None:
         self._raise_error()
         if self._closing:
@@ -231,26 +218,8 @@ class RolloutRecorder:
     def _raise_error(self) -> None:
         if self._error is not None:
             self._reported = True
-            raise RecordingError(self._explain(self._error)) from self._error
-
-    def _explain(self, error: Exception) -> str:
-        if isinstance(error, RecordingError):
-            return str(error)
-        if isinstance(error, OSError) and error.errno in _DISK_FULL:
-            return (
-                f"The disk that holds {self._directory} is full; the {self._written} batches "
-                "before stay readable. Free some space, or record less with recorder.max_gb, "
-                "recorder.round_bits or recorder.every_n_batches."
-            )
-        if isinstance(error, OSError):
-            return (
-                f"Recording to {self._directory} failed: {error.strerror}; the {self._written} "
-                "batches before stay readable. Check the folder, its permissions and its disk."
-            )
-        return (
-            f"Recording to {self._directory} failed with {error!r}; the {self._written} batches "
-            "before stay readable. Check what is put into the recorder."
-        )
+            told = _explained(self._error, self._directory, self.batches_written)
+            raise RecordingError(told) from self._error
 
     def _run(self) -> None:
         """The thread: jobs in order; after an error it only empties the queue for its callers."""
@@ -269,71 +238,23 @@ class RolloutRecorder:
             self._segments.abandon()
             self._error = error
 
-    def _write_batch(self, batch: HostBatch) -> None:
-        batch.wait()
-        self._segments.begin(batch.start_step)
-        if batch.rollout:
-            self._write_fragments(batch)
-        if batch.episodes:
-            messages = events.encode_episodes(
-                {name: leaf.flatten().numpy() for (name,), leaf in batch.episodes.items()},
-                self._specification.outcomes,
-                self._specification.dt_ns,
-            )
-            self._segments.append(EPISODES, messages, batch.time_ns)
-        if batch.starts:
-            arrays = {name: leaf.numpy() for (name,), leaf in batch.starts.items()}
-            data = events.encode_arrays(STARTS, arrays, batch.start_step)
-            origin = batch.start_step * self._specification.dt_ns
-            self._segments.append(STARTS, [(origin, 0, data)], batch.time_ns)
-        if batch.rollout or batch.episodes or batch.starts:
-            self._segments.commit()
-        self._written += bool(batch.rollout)
 
-    def _write_fragments(self, batch: HostBatch) -> None:
-        columns, bits = self._specification.columns, self._specification.round_bits
-        arrays = []
-        for column in columns:
-            leaf = batch.rollout[column.key]
-            arrays.append(leaf.reshape(*leaf.shape[:2], column.width).numpy())
-            if bits is not None and arrays[-1].dtype == np.float32:
-                wire.round_mantissa(arrays[-1], bits)
-        fragments = wire.encode_fragments(columns, arrays, batch.number, batch.start_step)
-        origin = batch.start_step * self._specification.dt_ns
-        messages = [(origin + env_id, env_id, data) for env_id, data in enumerate(fragments)]
-        self._segments.append(ROLLOUT, messages, batch.time_ns)
-
-    def _write_world(
-        self, leaves: Leaves, wait: Callable[[], None], start_step: int, time_ns: int
-    ) -> None:
-        wait()
-        self._segments.begin(start_step)
-        arrays = {name: leaf.numpy() for (name,), leaf in leaves.items()}
-        data = events.encode_arrays(WORLD, arrays, start_step)
-        # Pinned first: these may be the first scenes of a file, which then holds all of them.
-        self._scenes = _replaced(self._scenes, arrays)
-        self._segments.pin(WORLD, lambda: events.encode_arrays(WORLD, self._scenes, start_step))
-        self._segments.append(WORLD, [(start_step * self._specification.dt_ns, 0, data)], time_ns)
-        self._segments.commit()
-
-
-def _array_leaves(arrays: Mapping[str, Tensor], what: str) -> Leaves:
-    for name, tensor in arrays.items():
-        if type_name(tensor.dtype) not in ARRAY_FIELDS:
-            raise RecordingError(
-                f"{what} array '{name}' has dtype {tensor.dtype}; "
-                f"convert it to one of {', '.join(ARRAY_FIELDS)}."
-            )
-    return {(name,): tensor for name, tensor in arrays.items()}
-
-
-def _replaced(
-    scenes: dict[str, np.ndarray], arrays: dict[str, np.ndarray]
-) -> dict[str, np.ndarray]:
-    """All scenes, after some of them were put again."""
-    if "entry" not in arrays or scenes.keys() != arrays.keys():
-        return arrays
-    rows = np.searchsorted(scenes["entry"], arrays["entry"])
-    for name, values in arrays.items():
-        scenes[name][rows] = values
-    return scenes
+def _explained(error: Exception, directory: Path, written: int) -> str:
+    """What went wrong, in words, and what the user can do about it."""
+    if isinstance(error, RecordingError):
+        return str(error)
+    if isinstance(error, OSError) and error.errno in _DISK_FULL:
+        return (
+            f"The disk that holds {directory} is full; the {written} batches "
+            "before stay readable. Free some space, or record less with recorder.max_gb, "
+            "recorder.round_bits or recorder.every_n_batches."
+        )
+    if isinstance(error, OSError):
+        return (
+            f"Recording to {directory} failed: {error.strerror}; the {written} "
+            "batches before stay readable. Check the folder, its permissions and its disk."
+        )
+    return (
+        f"Recording to {directory} failed with {error!r}; the {written} batches "
+        "before stay readable. Check what is put into the recorder."
+    )
