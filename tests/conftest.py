@@ -32,6 +32,7 @@ from short_courses import (  # noqa: F401
 import resc.schema
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
+from resc.errors import ExitCode
 from resc.setup import build_stages, set_up
 from resc.starting.launch import launch
 
@@ -155,13 +156,17 @@ def start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., list
 
 
 @pytest.fixture
-def refusal(start: Callable[..., list[DictConfig]]) -> Callable[..., str]:
+def refusal(
+    start: Callable[..., list[DictConfig]], capsys: pytest.CaptureFixture[str]
+) -> Callable[..., str]:
     """`refusal(*arguments)`: the one sentence with which a script ends."""
 
     def refused(*arguments: str) -> str:
+        capsys.readouterr()
         with pytest.raises(SystemExit) as raised:
             start(*arguments)
-        told = str(raised.value)
+        assert raised.value.code == ExitCode.ERROR
+        told = capsys.readouterr().err.removesuffix("\n")
         assert told.startswith("error: ")
         assert "\n" not in told
         return told

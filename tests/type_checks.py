@@ -14,10 +14,11 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
 from typing import Any
 
-from beartype import beartype
+from beartype import BeartypeConf, beartype
 from jaxtyping import jaxtyped
 
 PACKAGE = "resc"
+checks_types = beartype(conf=BeartypeConf(violation_type=TypeError))
 VERSION = hashlib.sha1(Path(__file__).read_bytes()).hexdigest()[:8]
 
 
@@ -28,7 +29,7 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     hints = function.__annotations__
     function.__annotations__ = {n: hint for n, hint in hints.items() if not isinstance(hint, str)}
-    checks = beartype(function)
+    checks = checks_types(function)
     function.__annotations__ = checks.__annotations__ = hints
     if not any("jaxtyping." in str(hint) for hint in hints.values()):
         return checks
@@ -61,7 +62,7 @@ class Decorating(ast.NodeTransformer):
         return ast.parse(f"__import__({__name__!r}).{name}", mode="eval").body
 
 
-checked_dataclass = jaxtyped(typechecker=beartype)
+checked_dataclass = jaxtyped(typechecker=checks_types)
 
 
 class Loader(SourceFileLoader):
