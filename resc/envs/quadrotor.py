@@ -105,6 +105,11 @@ class QuadrotorEnv(EnvBase):
     def world(self, value: TensorDictBase) -> None:
         self._world = {key: value[key].clone() for key in self.stages.persistent}
 
+    @property
+    def tensors(self) -> World:
+        """The same by key, without a TensorDict around it."""
+        return dict(self._world)
+
     def value_of(self, key: tuple[str, ...]) -> Tensor:
         """One entry of the world, a view."""
         self._require_reset()

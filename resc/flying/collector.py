@@ -4,7 +4,7 @@ TorchRL's own collector costs milliseconds per batched step whatever the environ
 one calls `advance` and `restart` directly.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import torch
@@ -17,6 +17,7 @@ from resc.envs.stages import StepOutput, World
 from resc.errors import ConfigError, NumericalError
 from resc.flying.diagnosis import require_finite
 from resc.flying.episodes import RENEWED, EpisodeStatistics
+from resc.flying.loop import flown
 from resc.policies.networks import IS_INIT, STATE
 from resc.policies.policy import OBSERVATION, OBSERVATION_CRITIC, Policy
 from resc.process import require_memory
@@ -108,24 +109,14 @@ class Collector:
         """
         env, statistics = self.env, self.statistics
         statistics.begin_batch(self.start_step)
-        for t in range(self.steps):
-            seen = self._seen()
-            chosen = self.explore(seen)
-            if self._batch is None:
-                self._batch = self._allocate(seen, chosen)
-            row = cast(TensorDict, self._batch[t])
-            row.update_(seen.update(chosen))
-            for key in RECORDED:
-                row[key].copy_(env.value_of(key))
-            try:
-                out = env.advance(cast(Tensor, chosen["action"]))
-            except NumericalError:
-                require_finite(self._batch[:t], env, statistics)
-                raise
-            _keep(cast(TensorDict, row["next"]), row, out)
-            statistics.step(t, out, env.value_of(keys.SCENE_INDEX), env.flown_difficulties)
-            self._go_on(chosen)
-            self._restart(t + 1, out.done[:, 0].nonzero()[:, 0])
+        done = 0
+        try:
+            for before, _, out in flown(env, self._actions()):
+                self._keep(done, before, out)
+                done += 1
+        except NumericalError:
+            require_finite(self.batch[:done], env, statistics)
+            raise
         require_finite(self.batch, env, statistics)
         if self.renew_scenes:
             self._renew()
@@ -157,6 +148,31 @@ class Collector:
         if self._memory is not None:
             seen[STATE] = self._memory
         return TensorDict(seen, [self.env.num_envs], device=self.env.device)
+
+    def _actions(self) -> Iterator[Tensor]:
+        """What is explored in each step of a batch, which takes it down."""
+        for t in range(self.steps):
+            seen = self._seen()
+            chosen = self.explore(seen)
+            if self._batch is None:
+                self._batch = self._allocate(seen, chosen)
+            cast(TensorDict, self._batch[t]).update_(seen.update(chosen))
+            self._go_on(chosen)
+            yield cast(Tensor, chosen["action"])
+
+    def _keep(self, t: int, before: World, out: StepOutput) -> None:
+        """Takes down what came of a step, and begins the next episodes."""
+        env, row = self.env, cast(TensorDict, self.batch[t])
+        for key in RECORDED:
+            row[key].copy_(before[key])
+        after = cast(TensorDict, row["next"])
+        after[OBSERVATION].copy_(out.observation)
+        for name in ("reward", *FLAGS):
+            after[name].copy_(getattr(out, name))
+        row["reward_terms"].copy_(out.reward_terms)
+        scene = env.value_of(keys.SCENE_INDEX)
+        self.statistics.step(t, out, scene, env.flown_difficulties)
+        self._restart(t + 1, out.done[:, 0].nonzero()[:, 0])
 
     def _go_on(self, chosen: TensorDict) -> None:
         self._began = torch.zeros_like(self._began)
@@ -219,13 +235,3 @@ class Collector:
             "lower one of them",
             env.device,
         )
-
-
-def _keep(after: TensorDict, row: TensorDict, out: StepOutput) -> None:
-    """Puts what came of a step into its row of the batch."""
-    for name in OBSERVED:
-        if name in after:
-            after[name].copy_(getattr(out, name))
-    for name in ("reward", *FLAGS):
-        after[name].copy_(getattr(out, name))
-    row["reward_terms"].copy_(out.reward_terms)

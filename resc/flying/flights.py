@@ -1,7 +1,7 @@
 """Closed-loop flights: every row of an environment flies exactly one episode."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 from resc.errors import ConfigError
 from resc.flying.flight_log import FlightLog
+from resc.flying.loop import flown
 from resc.flying.pilot import Pilot
 from resc.recording.rollouts import open_recorder
 from resc.recording.writer import RolloutRecorder
@@ -101,24 +102,26 @@ def fly(
     """
     require_time_limit(env.stages)
     began = time.perf_counter()
-    observation = env.restart(torch.arange(env.num_envs))
+    env.restart(torch.arange(env.num_envs))
     pilot.begin(env.num_envs, env.stages, env.pool.shared)
     log = None if recorder is None else FlightLog(recorder, env)
     over = torch.zeros(env.num_envs, 1, dtype=torch.bool, device=env.device)
     outcome, steps, counted = (torch.zeros_like(over, dtype=torch.int64) for _ in range(3))
     traces, dt_s = [_state_of(env)], env.stages.context.dt_s
-    with tqdm(total=env.num_envs, desc="flying", unit="flight", leave=False) as bar:
+
+    def actions() -> Iterator[Tensor]:
         while not over.all():
-            before = env.world
             # A row that waits hovers: its state is put back, but must stay finite until then.
-            action = torch.where(over, 0.0, pilot.act(before, observation))
-            counted += ~(over | env.value_of(keys.FINISHED))
-            out = env.advance(action)
-            observation = out.observation
+            yield torch.where(over, 0.0, pilot.act(env.world, env.observation))
+
+    with tqdm(total=env.num_envs, desc="flying", unit="flight", leave=False) as bar:
+        for before, action, out in flown(env, actions()):
+            counted += ~(over | before[keys.FINISHED])
             if log is not None:
                 log.step(before, action, out, ~over)
             if over.any():
-                env.world = TensorDict.where(before, over[:, 0], env.world)
+                old = TensorDict(before, batch_size=[env.num_envs])
+                env.world = TensorDict.where(old, over[:, 0], env.world)
             steps += ~over
             ended = out.done & ~over
             outcome = torch.where(ended, out.outcome, outcome)

@@ -19,6 +19,7 @@ from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError, RecordingError
 from resc.flying.episodes import RENEWED
+from resc.flying.loop import flown
 from resc.groups import NEEDED
 from resc.keys import NestedKey
 from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS, require_columns
@@ -200,9 +201,12 @@ def compare(
             "The recording holds the actions alone, so there is nothing to compare with; record "
             "with recorder.fields=null."
         )
-    for number, step in enumerate(recorded.to(env.device)):
-        found = {key: env.value_of(key) for key in STATE}
-        out = env.advance(step[SAMPLED_ACTION.key].expand(env.num_envs, -1))
+    recorded = recorded.to(env.device)
+    actions = (step[SAMPLED_ACTION.key].expand(env.num_envs, -1) for step in recorded)
+    for number, (step, (before, _, out)) in enumerate(
+        zip(recorded, flown(env, actions), strict=True)
+    ):
+        found = {key: before[key] for key in STATE}
         found |= {key: getattr(out, key[0]) for key in OUTPUTS}
         foreign = FLAGS if cut and number == len(recorded) - 1 else ()
         for key in deviations.keys() - foreign:

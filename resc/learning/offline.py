@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from resc import keys
 from resc.errors import RecordingError
+from resc.flying.loop import flown
 from resc.flying.replay import environment_in, recorded_config
 from resc.recording.columns import FLAGS, require_columns
 from resc.recording.schema import SAMPLED_ACTION
@@ -86,7 +87,7 @@ def _flown(episodes: Selection, config: Mapping[str, Any]) -> Iterator[TensorDic
     recorded = list(episodes)
     needed = (keys.ACTION, SAMPLED_ACTION.key, *(flag.key for flag in FLAGS))
     require_columns(recorded[0], needed, "a dataset")
-    count, longest = len(recorded), max(map(len, recorded))
+    count = len(recorded)
     # Uncompiled: a batch of another size, flown once, is not worth compiling for.
     env = environment_in({**config, "compile": False}, episodes.scenes(), count)
     sampled = [cast(Tensor, steps[SAMPLED_ACTION.key]) for steps in recorded]
@@ -94,8 +95,7 @@ def _flown(episodes: Selection, config: Mapping[str, Any]) -> Iterator[TensorDic
     world = episodes.starts()
     world[keys.SCENE_INDEX] = torch.arange(count).unsqueeze(-1)
     observations, rewards = [env.begin(world)], []
-    for step in range(longest):
-        out = env.advance(actions[step])
+    for _, _, out in flown(env, actions):
         observations.append(out.observation)
         rewards.append(out.reward)
     seen, earned = torch.stack(observations), torch.stack(rewards)

@@ -1,0 +1,33 @@
+"""The loop that everything is flown in."""
+
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+from torch import Tensor
+
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import StepOutput, World
+
+
+class Step(NamedTuple):
+    """One control step of all environments.
+
+    Args:
+        before: The world before it, until rows restart.
+        action: What was done.
+        out: What came of it.
+    """
+
+    before: World
+    action: Tensor
+    out: StepOutput
+
+
+def flown(env: QuadrotorEnv, actions: Iterable[Tensor]) -> Iterator[Step]:
+    """Flies a control step for each action [n, a].
+
+    Each is asked for when the step before it is over, so it may depend on what came of that.
+    """
+    for action in actions:
+        before = env.tensors
+        yield Step(before, action, env.advance(action))
