@@ -49,7 +49,8 @@ def main(config: DictConfig) -> None:
             refuse_beside(overrides, REPLAYED, "replay")
             print(replay(config["replay"], folder, allowed=allowed))
             return
-        scenes = compose_scenes(config, scenes_to_fly(config, overrides))
+        names = scenes_to_fly(config["scenes"], config["suite"], overrides)
+        scenes = compose_scenes(names, config["scene"])
         config["policy"] = str(policy_folder(config["policy"], "policy"))
         policy = load_policy(Path(config["policy"]), config["device"], allowed)
         pilots = build_pilots(config["pilot"], allowed)

@@ -72,7 +72,7 @@ def run(config: DictConfig, folder: Path, overrides: Sequence[str]) -> None:
     print(f"Laying out {config['pool_size']} scenes", flush=True)
     trainer = build_trainer(config)
     check_held_out(config, trainer.env.stages)
-    restore(trainer, config, folder)
+    restore(trainer, folder, resumes=bool(config["resume"]), init_from=config["init_from"])
     if is_finished(folder):
         put_aside(folder)
     OmegaConf.save(config, folder / CONFIG, resolve=True)

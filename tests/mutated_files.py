@@ -73,7 +73,7 @@ def readers(config: DictConfig) -> dict[str, Callable[[Path], object]]:
             succeeded(summary)
         prepare_process(again["threads"], again["device"])
         trainer = build_trainer(again)
-        restore(trainer, again, run)
+        restore(trainer, run, resumes=True, init_from=again["init_from"])
         ProgressTable(run / "progress.csv", trainer.frames)
         trainer.iterate()
 

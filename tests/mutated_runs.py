@@ -139,7 +139,8 @@ class Rest:
         nodes = {"search": config["search"], "task": config["task"]}
         planner = planner_for(**nodes, env=config["env"] or stored["env"])
         scenes = {name: load("scene", name) for name in listed(config["scenes"])}
-        amounts = amounts_of(config, list(scenes))
+        suite = config["suite"] if config["scenes"] is None else None
+        amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
         courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner)
         settings = settings_for(config, stored, own_routes=courses[0].own_routes)
         env = build_flying_env(courses, settings)

@@ -12,7 +12,7 @@ Finds the fastest flight and a smooth one, prints them as a table, draws them, a
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,7 @@ def main(config: DictConfig, folder: Path) -> None:
     check_settings(config, schema.BoundSchema)
     prepare_process(config["threads"], config["device"])
     solver()
-    limits = limits_of(config)
+    limits = limits_of(config["limits"])
     planner = planner_for(
         search=config["search"],
         task=config["task"],
@@ -68,8 +68,12 @@ def main(config: DictConfig, folder: Path) -> None:
     )
     if planner is None:
         raise ConfigError("search is none, but the path leads the solver; set search=visibility.")
-    scenes = compose_scenes(config, scenes_to_fly(config, given()))
-    tasks = list(find_tasks(scenes, config, planner, limits))
+    names = scenes_to_fly(config["scenes"], config["suite"], given())
+    scenes = compose_scenes(names, config["scene"])
+    suite = config["suite"] if config["scenes"] is None else None
+    amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
+    own = {"seed": config["seed"], "allowed": config["allowed_targets"]}
+    tasks = list(find_tasks(scenes, amounts, planner, limits, **own))
     with logged(folder / "bound.log"):
         OmegaConf.save(config, folder / "config.yaml")
         stored = Path(config["references"]) if config["references"] else None
@@ -80,9 +84,12 @@ def main(config: DictConfig, folder: Path) -> None:
 
 def find_tasks(
     scenes: Mapping[str, Mapping[str, Any]],
-    config: Mapping[str, Any],
+    amounts: Mapping[str, Amount],
     planner: RoutePlanner,
     limits: Limits,
+    *,
+    seed: int,
+    allowed: Iterable[str] = (),
 ) -> Iterator[Task]:
     """Every different map of the scenes, named, and the shortest path from its nominal start.
 
@@ -92,16 +99,15 @@ def find_tasks(
     """
     if not scenes:
         raise ConfigError("scenes is empty; name at least one file of conf/scene.")
-    for (name, node), amount in zip(
-        scenes.items(), amounts_of(config, list(scenes)).values(), strict=True
-    ):
+    for name, node in scenes.items():
+        amount = amounts[name]
         maps = drawn(
             name,
             node,
             Amount(1, amount.drawn) if amount.maps else amount,
-            seed=config["seed"],
+            seed=seed,
             planner=planner,
-            allowed=config["allowed_targets"],
+            allowed=allowed,
         )
         if (maps.layout.route_length > 0).any():
             raise ConfigError(

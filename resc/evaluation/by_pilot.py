@@ -133,8 +133,12 @@ def fly_courses(
     """
     flown: dict[str, Flights] = {}
     for directory, group in _flown_together(courses, folder).items():
-        settings = rules[group[0].own_routes]
-        flown |= _fly_together(group, pilot, settings, directory, overrides)
+        settings, first = rules[group[0].own_routes], 0
+        env = build_flying_env(group, settings)
+        flights = fly_recorded(env, pilot, settings, directory, overrides)
+        for course in group:
+            flown[course.name] = flights.rows(first, first + len(course))
+            first += len(course)
     return flown
 
 
@@ -147,22 +151,6 @@ def _flown_together(courses: Sequence[Course], folder: Path) -> dict[Path, list[
             mixed = len(group) < len(courses) and own_routes
             groups[folder / (f"{ROLLOUTS}_own_routes" if mixed else ROLLOUTS)] = group
     return groups
-
-
-def _fly_together(
-    courses: Sequence[Course],
-    pilot: Pilot,
-    settings: Settings,
-    directory: Path,
-    overrides: Sequence[str],
-) -> dict[str, Flights]:
-    env = build_flying_env(courses, settings)
-    flights = fly_recorded(env, pilot, settings, directory, overrides)
-    flown, first = {}, 0
-    for course in courses:
-        flown[course.name] = flights.rows(first, first + len(course))
-        first += len(course)
-    return flown
 
 
 def _draw(

@@ -21,8 +21,8 @@ from resc.evaluation.by_pilot import (
     Result,
     fly_contest,
 )
-from resc.evaluation.commanded import commanded, commanded_scenes
-from resc.evaluation.courses import Course, lay_out
+from resc.evaluation.commanded import commanded, commanded_scenes, dial_of
+from resc.evaluation.courses import lay_out
 from resc.evaluation.references import STORED, limits_of, read_references
 from resc.evaluation.setting import settings_for
 from resc.evaluation.suites import amounts_of
@@ -71,15 +71,23 @@ def evaluate(
     if config["scene_files"] < 0:
         raise ConfigError(f"scene_files is {config['scene_files']}; expected 0 or more.")
     pilots = pilots or [PolicyPilot(policy)]
-    limits = limits_of(config)
+    limits = limits_of(config["limits"])
     references = read_references(Path(config["references"]) if config["references"] else None)
     stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
-    scenes = commanded_scenes(scenes, config, stored, limits)
-    config = commanded(config, stored, limits, overrides)
+    allowed = config["allowed_targets"]
+    dial = dial_of(stored.get("randomization"), stored.get("observation"), allowed)
+    if dial and "clearance_m" not in (config["scene"] or {}):
+        scenes = commanded_scenes(scenes, dial, limits)
+    config = commanded(config, stored, dial, limits, overrides)
     rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}
     for pilot in pilots:
         pilot.check(build_stages(rules[False]))
-    courses = _lay_out(config, stored, scenes)
+    # Planned as on the maps of the policy.
+    env = {**stored["env"], **(config["env"] or {})}
+    planner = planner_for(search=config["search"], task=config["task"], env=env, allowed=allowed)
+    suite = config["suite"] if config["scenes"] is None else None
+    amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
+    courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
     folder.mkdir(parents=True, exist_ok=True)
     OmegaConf.save(OmegaConf.create(dict(config)), folder / "config.yaml")
     contest = Contest(config, courses, rules, limits, references, overrides)
@@ -99,17 +107,6 @@ def evaluate(
     finish_run(folder, figures, "evaluation")
     told = results[0].text if len(results) == 1 else write_together(results, limits, folder)
     return f"{told}\n{_left_in(folder, results)}"
-
-
-def _lay_out(
-    config: Settings, stored: Settings, scenes: Mapping[str, Settings]
-) -> Sequence[Course]:
-    """The courses, planned as on the maps of the policy."""
-    allowed = config["allowed_targets"]
-    env = {**stored["env"], **(config["env"] or {})}
-    planner = planner_for(search=config["search"], task=config["task"], env=env, allowed=allowed)
-    amounts = amounts_of(config, list(scenes))
-    return lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
 
 
 def _fly_all(contest: Contest, pilots: Sequence[Pilot], folder: Path) -> list[Result]:

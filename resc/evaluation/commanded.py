@@ -36,24 +36,30 @@ class Dial:
     margin: Margin
 
 
-def dial_of(stored: Settings, allowed: Sequence[str] = ()) -> Dial | None:
-    """The dial of a policy's configuration; None if it does not draw both and see both.
+def dial_of(
+    randomization: Settings | None, observation: Settings | None, allowed: Sequence[str] = ()
+) -> Dial | None:
+    """The dial of what a policy's training drew and saw; None if that is not both, twice.
 
     Raises:
         ConfigError: A part of the configuration cannot be built.
     """
-    drawing = build_terms(stored.get("randomization"), "randomization", Randomization, allowed)
+    drawing = build_terms(randomization, "randomization", Randomization, allowed)
     speeds = [term for term in drawing if isinstance(term, SpeedLimit)]
     margins = [term for term in drawing if isinstance(term, Margin)]
     if not speeds or not margins:
         return None
-    seeing = build_terms(stored.get("observation"), "observation", Observation, allowed)
+    seeing = build_terms(observation, "observation", Observation, allowed)
     seen = {key for term in seeing for key in term.reads}
     return Dial(speeds[0], margins[0]) if {keys.SPEED_LIMIT, keys.MARGIN} <= seen else None
 
 
 def commanded(
-    config: Settings, stored: Settings, limits: Limits, overrides: Sequence[str] = ()
+    config: Settings,
+    stored: Settings,
+    dial: Dial | None,
+    limits: Limits,
+    overrides: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The evaluation's configuration, its limits asked of the policy.
 
@@ -64,9 +70,10 @@ def commanded(
     Raises:
         ConfigError: A limit is outside of what was trained.
     """
-    dial = dial_of(stored, config["allowed_targets"])
     if dial is None:
-        _require_own(config, stored, limits)
+        counted, trained = (_counted(of.get("sensor")) for of in (config, stored))
+        collision = (stored.get("termination") or {}).get("collision") or {}
+        _require_own(limits, counted, trained, collision.get("radius_m"))
         return dict(config)
     _require_within("limits.speed_mps", limits.speed_mps, dial.speed.speed_mps, "m/s")
     _require_within("limits.margin_m", limits.margin_m, dial.margin.margin_m, "m")
@@ -90,18 +97,9 @@ def commanded(
 
 
 def commanded_scenes(
-    scenes: Mapping[str, Settings],
-    config: Settings,
-    stored: Settings,
-    limits: Limits,
+    scenes: Mapping[str, Settings], dial: Dial, limits: Limits
 ) -> dict[str, Settings]:
-    """The scenes; of those that say what their routes keep, it is the margin and its headroom.
-
-    Only for a policy with a dial, and where `scene.clearance_m` is not given.
-    """
-    dial = dial_of(stored, config["allowed_targets"])
-    if dial is None or "clearance_m" in (config["scene"] or {}):
-        return dict(scenes)
+    """The scenes; of those that say what their routes keep, it is the margin and its headroom."""
     kept = [clearance_m(dial, limits)] * 2
     return {
         name: {**node, "clearance_m": kept} if "clearance_m" in node else node
@@ -123,14 +121,18 @@ def _require_within(name: str, value: float, ends: tuple[float, float], unit: st
         )
 
 
-def _require_own(config: Settings, stored: Settings, limits: Limits) -> None:
+def _counted(sensors: Settings | None) -> float | None:
+    """The speed [m/s] above which steps are counted, if some are."""
+    return ((sensors or {}).get("limit_violations") or {}).get("speed_mps")
+
+
+def _require_own(
+    limits: Limits, counted: float | None, trained: float | None, radius: float | None
+) -> None:
     """Refuses limits that a policy without a dial cannot know of.
 
     The speed above which steps are counted may differ: it is the evaluation's.
     """
-    counted = ((config["sensor"] or {}).get("limit_violations") or {}).get("speed_mps")
-    trained = ((stored.get("sensor") or {}).get("limit_violations") or {}).get("speed_mps")
-    radius = ((stored.get("termination") or {}).get("collision") or {}).get("radius_m")
     asked = (
         ("speed_mps", limits.speed_mps, (trained, counted), trained),
         ("margin_m", limits.margin_m, (radius, INFLATION_M), radius or INFLATION_M),

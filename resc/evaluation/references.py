@@ -64,13 +64,12 @@ class Reference:
 References = Mapping[str, Reference]
 
 
-def limits_of(config: Mapping[str, Any]) -> Limits:
-    """The limits that the references of a configuration keep to.
+def limits_of(node: Any) -> Limits:  # noqa: ANN401 - as a configuration holds it
+    """The limits that references keep to, from the group `limits`.
 
     Raises:
         ConfigError: One is missing or out of range.
     """
-    node = config["limits"]
     try:
         node = OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
     except InterpolationKeyError:

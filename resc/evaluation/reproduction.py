@@ -39,7 +39,7 @@ def prediction_interval(rates: Sequence[float], level: float = 0.95) -> tuple[fl
     return max(middle - reach, 0.0), min(middle + reach, 1.0)
 
 
-def compare(folder: Path, stored: Mapping[str, Any]) -> tuple[bool, str]:
+def compare(folder: Path, results: Mapping[str, Any]) -> tuple[bool, str]:
     """Whether the run in `folder` lies in the interval of the stored ones, and the sentence for it.
 
     Raises:
@@ -53,12 +53,12 @@ def compare(folder: Path, stored: Mapping[str, Any]) -> tuple[bool, str]:
         raise ConfigError(f"{path} does not exist; give the folder of a finished run.") from None
     except (OSError, ValueError, KeyError, TypeError):
         raise ConfigError(f"{path} is no summary of a finished training run.") from None
-    if frames != stored["frames"]:
+    if frames != results["frames"]:
         raise ConfigError(
-            f"the run in {folder} took {frames} frames, the stored ones {stored['frames']}; "
+            f"the run in {folder} took {frames} frames, the stored ones {results['frames']}; "
             "compare runs of the default length."
         )
-    rates = list(stored["success_rate"].values())
+    rates = list(results["success_rate"].values())
     low, high = prediction_interval(rates)
     inside = low <= rate <= high
     place = "inside" if inside else "outside"

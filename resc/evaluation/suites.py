@@ -40,44 +40,50 @@ class Amount:
         return 1 if self.maps is None else self.flights
 
 
-def scenes_to_fly(config: Mapping[str, Any], overrides: Iterable[str] = ()) -> list[str]:
+def scenes_to_fly(
+    scenes: Sequence[str] | str | None,
+    suite: Mapping[str, Any] | None,
+    overrides: Iterable[str] = (),
+) -> list[str]:
     """Names of the scenes: those of `scenes`, or else those of the suite.
 
     Raises:
         ConfigError: The command names scenes and a suite, or neither names a scene.
     """
     given = [text.lstrip("+~").partition("=")[0].partition(".")[0] for text in overrides]
-    if config["scenes"] is None:
-        if not config["suite"]:
+    if scenes is None:
+        if not suite:
             raise ConfigError(
                 "scenes is null and suite is empty; name a suite (suite=paper) or at least one "
                 "file of conf/scene: 'scenes=[random_boxes]'."
             )
-        return list(config["suite"])
+        return list(suite)
     if "suite" in given:
         raise ConfigError(
             "Both suite and scenes say what to fly; leave one of them out. Of a suite, a scene is "
             "left out by '~suite.<scene>' and its numbers change by suite.<scene>.maps=10."
         )
-    return listed(config["scenes"])
+    return listed(scenes)
 
 
-def amounts_of(config: Mapping[str, Any], scenes: Sequence[str]) -> dict[str, Amount]:
+def amounts_of(
+    scenes: Iterable[str], suite: Mapping[str, Any] | None, *, maps: int | None, flights: int | None
+) -> dict[str, Amount]:
     """How often each of the scenes is flown: as the suite says, but `maps` and `flights` win.
+
+    Without a suite, the scenes were named.
 
     Raises:
         ConfigError: A number of the suite is missing or impossible, or `maps` means nothing for it.
     """
-    maps, flights = config["maps"], config["flights"]
-    if config["scenes"] is not None:
+    if suite is None:
         return {name: Amount(flights or FLIGHTS, maps) for name in scenes}
-    nodes = config["suite"]
-    suite = {name: _read(name, nodes[name]) for name in scenes if name in nodes}
-    if maps is not None and suite and all(amount.maps is None for amount in suite.values()):
+    own = {name: _read(name, suite[name]) for name in scenes if name in suite}
+    if maps is not None and own and all(amount.maps is None for amount in own.values()):
         raise ConfigError(
-            f"maps is {maps}, but {', '.join(suite)} are fixed maps; leave it out or raise flights."
+            f"maps is {maps}, but {', '.join(own)} are fixed maps; leave it out or raise flights."
         )
-    found = {name: suite.get(name, Amount(FLIGHTS, maps)) for name in scenes}
+    found = {name: own.get(name, Amount(FLIGHTS, maps)) for name in scenes}
     return {
         name: Amount(flights or a.flights, a.maps if maps is None or a.maps is None else maps)
         for name, a in found.items()

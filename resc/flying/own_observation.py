@@ -26,8 +26,10 @@ class OwnObservation:
     that are flown.
 
     Args:
-        config: Of a trained policy.
-        stages: Of the environment.
+        env: That of a trained policy.
+        observation: What it sees.
+        sensor: What that is made of.
+        stages: Of the environment that is flown.
         allowed: Prefixes of `_target_` outside resc that the configuration may name.
 
     Raises:
@@ -35,16 +37,20 @@ class OwnObservation:
     """
 
     def __init__(
-        self, config: Mapping[str, Any], stages: Stages, allowed: Sequence[str] = ()
+        self,
+        env: Mapping[str, Any],
+        observation: Mapping[str, Any],
+        sensor: Mapping[str, Any] | None,
+        stages: Stages,
+        allowed: Sequence[str] = (),
     ) -> None:
-        env = config["env"]
         context = replace(
             stages.context,
             observation_frame=env.get("observation_frame", "world"),
             history=env.get("history", 1),
         )
-        observations = build_terms(config["observation"], "observation", Observation, allowed)
-        own = build_terms(config.get("sensor"), "sensor", Sensor, allowed)
+        observations = build_terms(observation, "observation", Observation, allowed)
+        own = build_terms(sensor, "sensor", Sensor, allowed)
         sensors = {term.name: term for term in (*stages.terms.sensors, *own)}
         needed = _read_by(observations, list(sensors.values()))
         terms = replace(

@@ -148,7 +148,9 @@ class FolderPilot(PolicyPilot):
         return super().act(world, self.observe(world) if self.own_observation else observation)
 
     def _own(self, stages: Stages) -> OwnObservation:
+        stored = self.policy.config
+        nodes = (stored["env"], stored["observation"], stored.get("sensor"))
         try:
-            return OwnObservation(self.policy.config, stages, self.allowed)
+            return OwnObservation(*nodes, stages, self.allowed)
         except ConfigError as error:
             raise ConfigError(f"pilot.{self.name}: {error}") from None

@@ -158,21 +158,21 @@ def first_weights(text: str, folder: Path) -> Path:
     return policy_folder(text, "init_from").resolve()
 
 
-def restore(trainer: Trainer, config: Mapping[str, Any], folder: Path) -> None:
+def restore(trainer: Trainer, folder: Path, *, resumes: bool, init_from: str | None) -> None:
     """Loads what training begins with, if anything.
 
     A resumed run's checkpoint (without one yet, it begins again), else the weights of `init_from`.
     """
-    if config["resume"] and (folder / CHECKPOINT).exists():
+    if resumes and (folder / CHECKPOINT).exists():
         load_checkpoint(folder / CHECKPOINT, trainer)
         return
-    if config["resume"]:
+    if resumes:
         print(f"{folder} holds no checkpoint yet: the run begins again.", flush=True)
-    if config["init_from"]:
+    if init_from:
         networks = trainer.algorithm.networks
-        afresh = load_weights(Path(config["init_from"]), networks, trainer.env.stages)
+        afresh = load_weights(Path(init_from), networks, trainer.env.stages)
         if afresh:
-            print(f"Not in {config['init_from']}, begun afresh: {', '.join(afresh)}", flush=True)
+            print(f"Not in {init_from}, begun afresh: {', '.join(afresh)}", flush=True)
 
 
 def build_held_out(config: Mapping[str, Any], episodes: int) -> tuple[QuadrotorEnv, dict[str, Any]]:

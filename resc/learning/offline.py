@@ -12,6 +12,7 @@ from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayB
 from tqdm import tqdm
 
 from resc import keys
+from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import RecordingError
 from resc.flying.loop import flown
 from resc.flying.replay import environment_in, recorded_config
@@ -76,20 +77,21 @@ def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None)
     with tqdm(total=len(order), unit="episode", disable=None, leave=False) as bar:
         for start in range(0, len(order), ROWS):
             rows = order[start : start + ROWS]
-            parts |= zip(rows, _flown(episodes.take(rows), config), strict=True)
+            some = episodes.take(rows)
+            # Uncompiled: a batch of another size, flown once, is not worth compiling for.
+            env = environment_in({**config, "compile": False}, some.scenes(), len(some))
+            parts |= zip(rows, _flown(some, env), strict=True)
             bar.update(len(rows))
     return cast(TensorDict, torch.cat([parts[row] for row in range(len(order))]))
 
 
 @torch.no_grad()
-def _flown(episodes: Selection, config: Mapping[str, Any]) -> Iterator[TensorDict]:
+def _flown(episodes: Selection, env: QuadrotorEnv) -> Iterator[TensorDict]:
     """The transitions of each episode `[T]`, all flown at once."""
     recorded = list(episodes)
     needed = (keys.ACTION, SAMPLED_ACTION.key, *(flag.key for flag in FLAGS))
     require_columns(recorded[0], needed, "a dataset")
     count = len(recorded)
-    # Uncompiled: a batch of another size, flown once, is not worth compiling for.
-    env = environment_in({**config, "compile": False}, episodes.scenes(), count)
     sampled = [cast(Tensor, steps[SAMPLED_ACTION.key]) for steps in recorded]
     actions = pad_sequence(sampled).to(env.device)
     world = episodes.starts()

@@ -3,9 +3,10 @@
 import math
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, cast
@@ -82,6 +83,7 @@ def train_and_save(
     )
     allowed = config["allowed_targets"]
     logger = build(config["logger"], "logger", allowed=allowed, folder=folder)
+    save = partial(save_policy, folder, trainer.algorithm.networks, trainer.env.stages, config)
     table = ProgressTable(folder / PROGRESS, trainer.frames)
     frames, trained_s = trainer.frames, trainer.trained_s
     try:
@@ -95,13 +97,13 @@ def train_and_save(
             checkpoint_every_s=config["checkpoint_every_s"],
         )
     except Exception as error:
-        _keep_policy(trainer, config, folder, error)
+        _keep_policy(trainer, save, folder, error)
         raise
     finally:
         logger.close()
         if recorder is not None:
             recorder.close()
-    save_policy(folder, trainer.algorithm.networks, trainer.env.stages, config)
+    save()
     if table.rows:
         draw_learning_curve(table.rows, folder / "learning_curve.png")
     own = speeds(trainer.frames - frames, trainer.trained_s - trained_s)
@@ -175,12 +177,14 @@ def train(
     return trainer.frames >= total_frames
 
 
-def _keep_policy(trainer: Trainer, config: DictConfig, folder: Path, error: Exception) -> None:
+def _keep_policy(
+    trainer: Trainer, save: Callable[[], None], folder: Path, error: Exception
+) -> None:
     """Saves the weights that the last whole batch left; the disk may be full, or they spoilt."""
     if not all(parameter.isfinite().all() for parameter in trainer.algorithm.parameters):
         return
     try:
-        save_policy(folder, trainer.algorithm.networks, trainer.env.stages, config)
+        save()
     except (RescError, OSError) as failure:
         error.add_note(f"The policy could not be saved: {failure}")
     else:

@@ -148,7 +148,8 @@ def load_weights(folder: Path, networks: nn.ModuleDict, stages: Stages) -> list[
     content = _in_todays_form(read(folder / POLICY, ("head", "layout")))
     require_same_layout([(str(name), int(width)) for name, width in content["layout"]], stages)
     config = load_config(folder / CONFIG)
-    _require_same_input(folder, config, stages)
+    frame = (config.get("env") or {}).get("observation_frame", "world")
+    _require_same_input(folder, frame, config.get("observation") or {}, stages)
     afresh = []
     for name, network in networks.items():
         try:
@@ -189,15 +190,15 @@ def _in_todays_form(content: dict[str, Any]) -> dict[str, Any]:
     return {**content, "networks": weights, "head": "resc.policies.heads.Gaussian"}
 
 
-def _require_same_input(folder: Path, config: Mapping[str, Any], stages: Stages) -> None:
+def _require_same_input(
+    folder: Path, frame: str, observation: Mapping[str, Any], stages: Stages
+) -> None:
     """The frame and the scales that the weights were trained with, as far as they are stored."""
-    frame = (config.get("env") or {}).get("observation_frame", "world")
     facts: dict[str, tuple[Any, Any]] = {
         "env.observation_frame": (frame, stages.context.observation_frame)
     }
-    stored = config.get("observation") or {}
     for term in stages.terms.observations:
-        scale = (stored.get(term.name) or {}).get("scale", 1.0)
+        scale = (observation.get(term.name) or {}).get("scale", 1.0)
         facts[f"observation.{term.name}.scale"] = (scale, term.scale)
     for name, (trained, given) in facts.items():
         if trained != given:
@@ -231,7 +232,7 @@ def load_policy(
         layout = tuple((str(name), int(width)) for name, width in content["layout"])
         head = locate(content["head"], "head", (*ALLOWED, *allowed))
         policy = Policy(
-            build(_model_of(config), "model", allowed=allowed, kind=Model),
+            build(_model_of(config["model"]), "model", allowed=allowed, kind=Model),
             head(int(content.get("action_width", ACTION_WIDTH))),
             sum(width for _, width in layout),
         )
@@ -240,9 +241,9 @@ def load_policy(
     return StoredPolicy(policy.to(device).eval(), layout, config)
 
 
-def _model_of(config: DictConfig) -> Any:  # noqa: ANN401 - a node of a configuration
+def _model_of(model: Any) -> Any:  # noqa: ANN401 - a node of a configuration
     """The node of the model; older ones name the spread of actions, which is the algorithm's."""
-    node = OmegaConf.to_container(config["model"], resolve=True)
+    node = OmegaConf.to_container(model, resolve=True)
     if not isinstance(node, dict) or not str(node.get("_target_")).endswith(".build_networks"):
         return node
     return {name: value for name, value in node.items() if name != "initial_std"}

@@ -51,8 +51,8 @@ def suites() -> dict[str, list[str]]:
     return {path.rpartition("/")[2]: [str(name) for name in content] for path, _, content in found}
 
 
-def compose_scenes(config: DictConfig, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """The scenes of these names with the numbers of `scene` in place of their own.
+def compose_scenes(names: Sequence[str], numbers: DictConfig) -> dict[str, dict[str, Any]]:
+    """The scenes of these names with the numbers given in place of their own.
 
     Raises:
         ConfigError: A scene is unknown or named twice.
@@ -70,6 +70,6 @@ def compose_scenes(config: DictConfig, names: Sequence[str]) -> dict[str, dict[s
         node = compose(hydra_config.job.config_name, [*search, f"+scene={name}"])["scene"]
         scenes[name] = {
             **cast(dict[str, Any], OmegaConf.to_container(node, resolve=True)),
-            **cast(dict[str, Any], OmegaConf.to_container(config["scene"], resolve=True)),
+            **cast(dict[str, Any], OmegaConf.to_container(numbers, resolve=True)),
         }
     return scenes

@@ -57,12 +57,14 @@ def main(config: DictConfig, folder: Path) -> None:
 
 def evaluations(config: DictConfig) -> Iterator[Flown]:
     """Each suite of a configuration: its name, its settings and its scenes."""
-    scenes = compose_scenes(config, scenes_to_fly(config, given()))
+    names = scenes_to_fly(config["scenes"], config["suite"], given())
+    scenes = compose_scenes(names, config["scene"])
     settings = cast(Settings, OmegaConf.to_container(config, resolve=True))
-    amounts = amounts_of(settings, list(scenes))
+    often = {name: settings[name] for name in ("maps", "flights")}
     if settings["scenes"] is not None:
         yield SINGLE, settings, scenes
         return
+    amounts = amounts_of(scenes, settings["suite"], **often)
     named = suites()
     rest = [name for name in scenes if not any(name in own for own in named.values())]
     for suite, own in {**named, **({SINGLE: rest} if rest else {})}.items():

@@ -13,6 +13,7 @@ import pytest
 from resc.errors import ConfigError, PlanningError
 from resc.evaluation.bound import bound, find_tasks, missing
 from resc.evaluation.references import Reference, keep, limits_of, read_references
+from resc.evaluation.suites import amounts_of
 from resc.planning.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
@@ -29,11 +30,19 @@ BOXES = {"_target_": "resc.scenes.random_boxes.RandomBoxes", "boxes": 20, "jitte
 FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
 
 
+def sought(scenes, config, planner):
+    """What the command would solve of these scenes."""
+    suite = config["suite"] if config["scenes"] is None else None
+    amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
+    limits = limits_of(config["limits"])
+    return list(find_tasks(scenes, amounts, planner, limits, seed=config["seed"]))
+
+
 @pytest.fixture
 def tasks(evaluation, planner):
     """`tasks(**scenes)`: what is to be solved."""
     config = evaluation("flights=3")
-    return lambda **scenes: list(find_tasks(scenes, config, planner, limits_of(config)))
+    return lambda **scenes: sought(scenes, config, planner)
 
 
 @pytest.mark.slow
@@ -52,7 +61,7 @@ def test_maps_that_differ_are_solved_one_by_one(tasks):
 def test_fewer_maps_are_the_first_ones(evaluation, planner):
     def solved(*overrides):
         config = evaluation(*overrides)
-        return list(find_tasks({"random_boxes": BOXES}, config, planner, limits_of(config)))
+        return sought({"random_boxes": BOXES}, config, planner)
 
     two, three = solved("suite=field", "maps=2"), solved("suite=field", "maps=3", "flights=4")
     assert [(name, crossing) for name, crossing, _ in two] == [task[:2] for task in three[:2]]

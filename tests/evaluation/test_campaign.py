@@ -51,7 +51,7 @@ def run(evaluation, policy, tmp_path_factory):
     config = evaluation(*small, f"references={stored}")
     one = drawn("corridor", SCENES["corridor"], Amount(1), seed=4, planner=None)
     flight = Trajectory(0.5, np.linspace([1.0, 2.2, 1.0], [3.0, 2.2, 1.0], 9) ** 1.5)
-    crossing = crossings(one.layout, one.nominal_w, limits_of(config))[0]
+    crossing = crossings(one.layout, one.nominal_w, limits_of(config["limits"]))[0]
     keep(Reference("corridor", crossing, 2.0, flight, flight), stored)
     return folder, evaluate(config, policy, SCENES, folder, ["flights=2", "seed=4"])
 

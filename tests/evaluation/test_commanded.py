@@ -48,18 +48,22 @@ def dial_policy(policy_for, with_dial):
     return policy_for(OmegaConf.create(with_dial))
 
 
+def own_dial(stored):
+    return dial_of(stored.get("randomization"), stored.get("observation"))
+
+
 def asked(evaluation, stored, *overrides):
     config = evaluation(*overrides)
-    return commanded(config, stored, limits_of(config), overrides)
+    return commanded(config, stored, own_dial(stored), limits_of(config["limits"]), overrides)
 
 
 def test_a_dial_is_what_is_drawn_and_seen(with_dial, stored):
-    dial = dial_of(with_dial)
+    dial = own_dial(with_dial)
     assert dial.speed.speed_mps == (1.2, 4.5)
     assert dial.margin.margin_m == (0.15, 0.45)
     blind = {k: v for k, v in with_dial["observation"].items() if k != "limits"}
-    assert dial_of({**with_dial, "observation": blind}) is None
-    assert dial_of(stored) is None
+    assert own_dial({**with_dial, "observation": blind}) is None
+    assert own_dial(stored) is None
 
 
 def test_limits_fix_the_draws_the_count_and_the_search(evaluation, with_dial):
@@ -81,12 +85,11 @@ def test_a_clearance_that_is_given_stays(evaluation, with_dial):
     assert config["search"]["clearance_m"] == 0.45
 
 
-def test_scenes_that_plan_their_own_routes_keep_the_margin_too(evaluation, with_dial, stored):
+def test_scenes_that_plan_their_own_routes_keep_the_margin_too(evaluation, with_dial):
     config = evaluation(*ASKED)
     scenes = {"planned": {"clearance_m": [0.35, 0.5]}, "named": {}}
-    limits = limits_of(config)
-    assert commanded_scenes(scenes, config, stored, limits) == scenes
-    kept = commanded_scenes(scenes, config, with_dial, limits)
+    limits = limits_of(config["limits"])
+    kept = commanded_scenes(scenes, own_dial(with_dial), limits)
     assert kept == {"planned": {"clearance_m": [0.5, 0.5]}, "named": {}}
 
 

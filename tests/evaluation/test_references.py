@@ -91,7 +91,7 @@ def test_every_flight_of_the_papers_maps_has_a_reference_whatever_its_jitter(
 ):
     scenes = {name: OmegaConf.to_container(load_part("scene", name))}
     course = lay_out(scenes, 3, seed=5, planner=planner)[0]
-    found = references_of(course, limits_of(evaluation()), KEPT)
+    found = references_of(course, limits_of(evaluation()["limits"]), KEPT)
     assert [reference.scene for reference in found] == [name] * 3
 
 
@@ -156,14 +156,14 @@ def test_missing_file_of_ones_own_is_named(tmp_path):
 
 def test_limits_follow_what_a_flight_is_measured_by(evaluation):
     slower = evaluation("sensor.limit_violations.speed_mps=2.0", "limits.margin_m=0.2")
-    assert limits_of(slower) == replace(LIMITS, speed_mps=2.0, margin_m=0.2)
+    assert limits_of(slower["limits"]) == replace(LIMITS, speed_mps=2.0, margin_m=0.2)
 
 
 def test_limits_without_the_sensor_say_what_to_give():
     speed = "${sensor.limit_violations.speed_mps}"
     node = {"_target_": "resc.planning.time_optimal.Limits", "speed_mps": speed}
     with pytest.raises(ConfigError, match=r"follow sensor.limit_violations, which is left out"):
-        limits_of(OmegaConf.create({"limits": node, "sensor": {}}))
+        limits_of(OmegaConf.create({"limits": node, "sensor": {}})["limits"])
 
 
 def test_the_better_of_two_flights_of_a_scene_is_kept_of_each_kind(made_up, tmp_path):

@@ -14,7 +14,9 @@ FORESTS = ["forest_low", "forest_medium", "forest_dense"]
 
 
 def amounts(config):
-    return amounts_of(config, scenes_to_fly(config))
+    named, suite = config["scenes"], config["suite"]
+    often = {name: config[name] for name in ("maps", "flights")}
+    return amounts_of(scenes_to_fly(named, suite), suite if named is None else None, **often)
 
 
 @pytest.mark.parametrize("path", sorted((CONF / "suite").glob("*.yaml")), ids=lambda p: p.stem)
@@ -65,4 +67,4 @@ def test_impossible_suites_are_refused(evaluation, overrides, message):
 
 def test_scenes_beside_a_suite_are_refused(evaluation):
     with pytest.raises(ConfigError, match="Both suite and scenes say what to fly"):
-        scenes_to_fly(evaluation("scenes=[gaps]"), ["scenes=[gaps]", "suite.gaps.maps=3"])
+        scenes_to_fly(["gaps"], {}, ["scenes=[gaps]", "suite.gaps.maps=3"])

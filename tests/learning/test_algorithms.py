@@ -114,7 +114,7 @@ def test_weights_of_another_algorithm_are_refused_by_name(begin, compose, tmp_pa
     save_policy(tmp_path / "ppo", trainer.algorithm.networks, trainer.env.stages, config)
     other = begin("sac", "mlp", f"init_from={tmp_path / 'ppo'}")
     with pytest.raises(CheckpointError, match=r"algorithm resc\.learning\.ppo\.Ppo"):
-        restore(other, {"resume": None, "init_from": str(tmp_path / "ppo")}, tmp_path)
+        restore(other, tmp_path, resumes=False, init_from=str(tmp_path / "ppo"))
 
 
 def test_files_of_a_buffer_that_are_missing_are_missed(begin, tmp_path):

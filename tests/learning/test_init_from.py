@@ -29,7 +29,7 @@ def trained(compose, tmp_path):
 def begun(compose, folder, *overrides):
     config = compose(*SMALL, "model.normalization=running", f"init_from={folder}", *overrides)
     trainer = build_trainer(config)
-    restore(trainer, config, folder.parent / "run")
+    restore(trainer, folder.parent / "run", resumes=False, init_from=config["init_from"])
     return trainer, config
 
 
@@ -87,7 +87,7 @@ def test_a_run_goes_on_without_the_folder_that_it_began_with(compose, trained, t
     save_checkpoint(tmp_path / "run" / CHECKPOINT, trainer)
     shutil.rmtree(trained[1])
     again = build_trainer(config)
-    restore(again, {**config, "resume": str(tmp_path / "run")}, tmp_path / "run")
+    restore(again, tmp_path / "run", resumes=True, init_from=config["init_from"])
     assert torch.equal(weights(again), weights(trainer))
     assert again.frames == trainer.frames
 
