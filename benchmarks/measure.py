@@ -60,7 +60,7 @@ def load(overrides: list[str]) -> DictConfig:
 
 
 def forget_compiled() -> None:
-    """Lets the next task compile anew, so that it cannot meet the guards of the last."""
+    """Makes the next task compile again, so that it does not meet the guards of the last."""
     torch.compiler.reset()
 
 

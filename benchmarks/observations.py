@@ -56,7 +56,7 @@ def modules() -> list[str]:
 def measure(args: argparse.Namespace, effort: Effort) -> tuple[dict[str, Cost], float]:
     """The cost of every module, measured in turns, and the share of its threads it was given."""
     names = modules()
-    # Each environment compiles the same two functions anew; torch allows 8 versions of one.
+    # Each environment compiles the same two functions again; torch allows 8 versions of one.
     torch._dynamo.config.recompile_limit = 4 * len(names)
     pool = None
     flights: dict[str, Flight] = {}

@@ -1,4 +1,4 @@
-"""The groups of a configuration, one line each: whoever lists them asks here.
+"""The groups of a configuration, one line each: the only list of them.
 
 A group is a setting filled from the files of its folder in conf/. A new one is a line of `GROUPS`
 and its folder.
@@ -108,7 +108,7 @@ GROUPS = (
 TASK = {"control_points": "task", "initial_state": "initial_state"}
 """The two terms of a task, and the fields of `Terms` that they fill."""
 DELTAS = ("experiment", "study", "launcher", "hydra")
-"""Folders of conf/ that are no group: they change others, or say how runs are started."""
+"""Folders of conf/ that are not groups: they change others, or say how runs are started."""
 
 
 def names(which: Callable[[Group], object]) -> tuple[str, ...]:

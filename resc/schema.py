@@ -61,7 +61,7 @@ class TrainSchema(RunSchema):
         num_envs: Environments flown in parallel.
         total_frames: Environment steps to train for.
         pool_size: Scenes to draw episodes from.
-        renew_scenes: Scenes laid out anew after every batch.
+        renew_scenes: Scenes to renew after every batch.
         evaluation_episodes: Fixed episodes flown at the end, on scenes never trained on.
         evaluation_seed: Of those scenes; training seeds are never this one.
         held_out: Groups that those episodes are flown with in place of training's; the metrics in

@@ -68,7 +68,7 @@ class Term(TensorDictModuleBase):
     names.
 
     Uniform numbers in [0, 1) per environment reach `compute` as its last argument: `draws` of them
-    for terms of the reset, `step_draws`, anew at every step and reset, for all others.
+    for terms of the reset, `step_draws`, at every step and reset, for all others.
 
     A term that `eases` can be made easier: with `difficulty: name` in its configuration, the
     difficulty of that name, [n, 1] in [0, 1], follows all other arguments of `compute`.
@@ -342,7 +342,7 @@ class Termination(Term):
 
 
 class Randomization(Term):
-    """Draws numbers anew at every reset: reads nominal values, if there are, writes drawn ones."""
+    """Draws numbers at every reset: reads nominal values, if there are any, writes drawn ones."""
 
     group = "params"
     section = "randomization"

@@ -36,7 +36,7 @@ class QuadrotorGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begins an episode; a seed begins every random sequence anew."""
+        """Begins an episode; a seed restarts every random sequence."""
         super().reset(seed=seed)
         if seed is not None:
             self.env.set_seed(seed)

@@ -281,7 +281,7 @@ class QuadrotorEnv(EnvBase):
             raise CallError("The environment has not been reset; call reset (or restart) first.")
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
-        """Begins every random sequence anew; returns a seed for a next environment."""
+        """Restarts every random sequence; returns a seed for another environment."""
         require_seed(0 if seed is None else seed)
         return super().set_seed(seed, static_seed)
 

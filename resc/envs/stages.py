@@ -51,7 +51,7 @@ class Terms:
 
     @property
     def observed(self) -> list[Observation]:
-        """What the policy sees, then what the value function sees beside it."""
+        """What the policy sees, then what the value function sees in addition."""
         return [*self.observations, *self.critic_observations]
 
     def __iter__(self) -> Iterator[Term]:
@@ -147,7 +147,7 @@ class Stages(nn.Module):
 
     @property
     def step_draws(self) -> dict[str, int]:
-        """Widths of the uniform blocks drawn anew at every step and reset, by generator."""
+        """Widths of the uniform blocks drawn at every step and reset, by generator."""
         return {name: width for term in self.terms for name, width in term.blocks.items()}
 
     def step(

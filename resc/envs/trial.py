@@ -1,6 +1,6 @@
 """A first flight of a few environments that checks every term with real tensors.
 
-A term of one's own is a few lines of Python that nothing has run before. Once compiled and among
+A user's term is a few lines of Python that nothing has run before. Once compiled and among
 a thousand environments, a wrong shape is broadcast, a wrong type converts what it meets, and an
 error names neither the term nor what it should have given.
 """

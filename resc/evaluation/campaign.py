@@ -130,7 +130,7 @@ def fingerprint(config: Settings, scenes: Mapping[str, Settings], pilots: Sequen
     """SHA-256 of all that an evaluation flies and is measured by, but for the code.
 
     Settings, scenes, what the pilots say of themselves, the policy's weights and the stored
-    references: the same evaluation, whoever asks for it.
+    references: equal for equal evaluations.
     """
     plain = OmegaConf.to_container(OmegaConf.create(dict(config)), resolve=True)
     made = {

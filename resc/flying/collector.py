@@ -38,7 +38,7 @@ class Collector:
         explore: From `observation`, `is_init` and the memory [n] to `action` and what else is to be
             kept of the step.
         steps: Control steps per batch.
-        renew_scenes: Scenes of the pool laid out anew after each batch.
+        renew_scenes: Scenes of the pool to renew after each batch.
     """
 
     def __init__(
@@ -195,7 +195,7 @@ class Collector:
         self._note_starts(self.start_step + t, rows)
 
     def _renew(self) -> None:
-        """Lays scenes out anew; the few episodes still flying in them are truncated."""
+        """Renews scenes; the few episodes still flying in them are truncated."""
         last = cast(TensorDict, self.batch[-1])
         rows = self.env.renew(self.renew_scenes)
         rows = rows[~last["next", "done"][rows, 0]]

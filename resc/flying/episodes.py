@@ -11,7 +11,7 @@ from torch import Tensor
 from resc.envs.stages import StepOutput
 
 RENEWED = "scene_renewed"
-"""Outcome of an episode cut because its scene was laid out anew."""
+"""Outcome of an episode cut because its scene was renewed."""
 WINDOW = 2000
 """Finished episodes that the running rates look back on."""
 BINS = 5

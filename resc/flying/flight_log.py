@@ -22,10 +22,10 @@ BATCH_STEPS = 100
 class FlightLog:
     """Collects the steps of all flights and hands them to a recorder, batch by batch.
 
-    A flight that is over waits in its last state; its steps earn nothing and end nothing.
+    A flight that is over stays in its last state; its steps earn no reward and end no episode.
 
     Args:
-        recorder: Takes the batches; closing it is left to whoever opened it.
+        recorder: Takes the batches; the caller closes it.
         env: What is flown.
     """
 

@@ -64,7 +64,7 @@ class Algorithm(ABC):
     """
 
     networks: nn.ModuleDict
-    """All that has weights: `policy`, and what the algorithm needs beside it."""
+    """Everything that has weights: `policy`, and whatever else the algorithm needs."""
 
     def __init__(self, *, steps: int, context: LearningContext) -> None:
         if steps < 1:

@@ -13,7 +13,7 @@ from resc.policies.stored import fitting, read, require_same_run, write_atomical
 from resc.run_folder import EXPERIENCE
 
 NEEDED = ("algorithm", "collector", "world", "observation", "pool", "layout", "curricula")
-"""Without these a file is no checkpoint."""
+"""A file without these is not a checkpoint."""
 
 
 def save_checkpoint(path: Path, trainer: Trainer) -> None:

@@ -82,7 +82,7 @@ class ProgressTable:
             self.rows = [row for row in _read_rows(path) if row["frames"] <= frames]
 
     def add(self, row: Mapping[str, float]) -> None:
-        """Appends a row and writes the file anew when a column is new."""
+        """Appends a row; rewrites the whole file when a column is new."""
         self.rows.append(dict(row))
         columns = list(dict.fromkeys(name for row in self.rows for name in row))
         if len(self.rows) > 1 and columns == getattr(self, "columns", None):

@@ -21,7 +21,7 @@ class Trainer:
     Args:
         env: The batch of environments; reset on construction.
         algorithm: What learns.
-        renew_scenes: Scenes of the pool laid out anew after each batch.
+        renew_scenes: Scenes of the pool to renew after each batch.
         curricula: What sets the difficulties that the environment reads.
     """
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from resc.process import require_memory
 
 SLACK = 0.01
-"""Share of a cell that is no cell of its own: single precision has 14 m as 140.000003 cells."""
+"""Share of a cell too small to count as one: in single precision, 14 m are 140.000003 cells."""
 
 
 def cells_of(size_m: Float[Tensor, "*n 2"], resolution_m: float) -> Int[Tensor, "*n 2"]:

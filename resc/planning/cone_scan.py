@@ -256,7 +256,7 @@ def _append_row(
     """Append the useful corners of a row from column `first` to `last`.
 
     A corner is useful where a line from the scan's origin passes beside its obstacle.  A line into
-    or out of the obstacle's own quadrant is no part of a shortest path.
+    or out of the obstacle's own quadrant is not part of a shortest path.
     """
     at = table[NEXT_CORNER, row, first] if first <= last else last + 1
     while at <= last:

@@ -28,8 +28,7 @@ class RoutePlanner:
     """Fills in the routes of a batch of scenes, from each start to each goal.
 
     Scenes with a clearance of their own are random ones, and many: they are planned in as many
-    threads as torch has, and those without a route keep length 0, for whoever drew them to draw
-    again.
+    threads as torch has. Those without a route keep length 0, and the caller draws them again.
 
     `paths` holds the planned path of every scene of the last call. A map is rasterised and prepared
     once, however many scenes share it. The control points keep the goal's height.

@@ -107,7 +107,7 @@ def require_same_layout(trained: Sequence[tuple[str, int]], stages: Stages) -> N
 def save_policy(folder: Path, networks: nn.ModuleDict, stages: Stages, config: DictConfig) -> None:
     """Writes policy.pt (weights and layout) and config.yaml into a folder.
 
-    `networks` are an algorithm's: `policy`, and what it needs beside it.
+    `networks` are an algorithm's: `policy`, and whatever else it needs.
     """
     folder.mkdir(parents=True, exist_ok=True)
     head = type(cast(Policy, networks["policy"]).head)
@@ -136,8 +136,8 @@ def policy_folder(text: str, setting: str) -> Path:
 def load_weights(folder: Path, networks: nn.ModuleDict, stages: Stages) -> list[str]:
     """Puts the weights of a stored policy, normalisation included, into an algorithm's networks.
 
-    Those of its other networks, too, where the stored ones are the same. Returns the names of the
-    networks that begin afresh.
+    Loads its other networks, too, where the stored ones are the same. Returns the names of the
+    networks that keep their initial weights.
 
     Raises:
         CheckpointError: A file is missing, cut short or foreign, or it is of another observation

@@ -25,7 +25,7 @@ _TOLERANCE = 1e-3
 
 @dataclass
 class Checked:
-    """How much was looked at, and what is wrong, one sentence each; `notes` are no faults."""
+    """How much was checked, and what is wrong, one sentence each; `notes` are not faults."""
 
     files: int = 0
     batches: int = 0

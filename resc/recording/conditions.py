@@ -14,7 +14,7 @@ _EQUALS = re.compile(r"\) [!=]=v? |\.(sql_)?is_in\(")
 def require_names(condition: pl.Expr, table: pl.DataFrame) -> None:
     """Refuses a condition that names no column, or compares one with what it never holds.
 
-    Such a comparison is no error to polars: a misspelt outcome would just select nothing.
+    Polars accepts such a comparison: a misspelt outcome would just select nothing.
 
     Raises:
         RecordingError: It suggests the nearest name.

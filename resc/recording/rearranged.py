@@ -1,7 +1,7 @@
 """Files that another program wrote again: the same messages or some of them, in any arrangement.
 
-The format leaves indexes, chunks, checksums and the summary to whoever writes a file. The reader
-relies on those of RESC's recorder; of other files it reads a copy, made once, that has them.
+In MCAP, indexes, chunks, checksums and the summary are optional. The reader relies on those that
+RESC's recorder writes; for other files, it makes a copy once that has them, and reads the copy.
 """
 
 import shutil

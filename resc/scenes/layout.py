@@ -76,7 +76,7 @@ Plan = Callable[[Layout], Layout]
 
 @runtime_checkable
 class RoutedScene(Scene, Protocol):
-    """A scene that asks for the routes itself: to draw again where there is none."""
+    """A scene that asks for its routes itself, so that it can draw again where there is none."""
 
     def sample_routed(self, count: int, generator: torch.Generator, plan: Plan) -> Layout:
         """Lays out `count` scenes, all of them with a route."""

@@ -127,7 +127,7 @@ class ScenePool:
         return torch.where(unit < share, above, below)
 
     def renew(self, count: int) -> Int[Tensor, " k"]:
-        """Lays the next `count` scenes out anew; returns their entries.
+        """Renews the next `count` scenes; returns their entries.
 
         A planned route longer than every first one finds no room; its scene is kept as it was.
         """

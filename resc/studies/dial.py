@@ -28,7 +28,7 @@ from resc.run_folder import CONFIG, SUMMARY, summary_of
 FLIGHTS = "flights.csv"
 REPORT = "report"
 TEXTS, FLAGS = ("scene", "outcome"), ("success", "collided")
-"""Columns of a table of flights that are no numbers, and those that are true or false."""
+"""Columns of a table of flights that are not numbers, and those that are true or false."""
 NEEDED = (
     *TEXTS,
     *FLAGS,

@@ -18,9 +18,9 @@ SAME = 1e-4
 class Success(Curriculum):
     """Difficulty that rises a level where the policy succeeds, and falls one where it fails.
 
-    Counts episodes begun at the present difficulty; those begun before a change do not tell about
+    Counts episodes begun at the present difficulty; those begun before a change say nothing about
     it. Once `episodes` of them are finished, d rises by 1 / (levels - 1) if more than `raise_above`
-    of them succeeded, falls by as much if fewer than `lower_below` did, and counting begins anew.
+    of them succeeded, falls by as much if fewer than `lower_below` did, and counting restarts.
 
     Args:
         episodes: Finished episodes, at least, that one decision rests on.

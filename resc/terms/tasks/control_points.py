@@ -25,7 +25,7 @@ class ControlPoints(Term):
     With `beyond_m`, a point between the first and the last is passed, too, once the vehicle is
     within `beyond_m` of it and past the line that halves the angle of the route there: one that
     swings wide of a column, or cuts the turn short, need not turn back. The released planner, which
-    plans anew in flight, does not turn back either.
+    replans in flight, does not turn back either.
     """
 
     section = "task"

@@ -1,7 +1,7 @@
 """Layouts for Foxglove and Lichtblick: 3-D view, rates, thrust and speed, rewards, log.
 
-The files beside this one are for the default training; every scene file carries a pair for its own
-rewards and observations. `python -m resc.viewing.layouts` writes the former anew.
+The files in this folder fit the default training; every scene file has a pair for its own rewards
+and observations. `python -m resc.viewing.layouts` rewrites the files in this folder.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Writes the layouts for the default training anew: python -m resc.viewing.layouts."""
+"""Rewrites the layouts for the default training: python -m resc.viewing.layouts."""
 
 from pathlib import Path
 
