@@ -37,7 +37,7 @@ CONF = Path(__file__).parents[1] / "conf"
 COUNT = 6
 PERMUTATION = torch.tensor([3, 0, 5, 1, 4, 2])
 
-STEP = [group for group in GROUPS if group.stage]
+STEP = [group for group in GROUPS if group.stage and group.own_folder]
 LISTS = {folder: g.kind for g in STEP if g.several for folder in (g.name, *g.folders)}
 FURTHER = [folder for group in STEP for folder in group.folders]
 SINGLES = {g.name: g.kind for g in STEP if not g.several}
