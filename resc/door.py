@@ -21,6 +21,22 @@ from resc.term import Curriculum
 KEYWORDS = ("num_envs", "seed", "device", "compile", "pool_size")
 IN_PYTHON = ("pool_size=256", "compile=false")
 """Where `make_env` differs from training, unless it is told: it is ready within seconds."""
+OF_RUNS = (
+    "resume",
+    "init_from",
+    "total_frames",
+    "renew_scenes",
+    "evaluation_episodes",
+    "evaluation_seed",
+    "held_out",
+    "checkpoint_every_s",
+    "model",
+    "algorithm",
+    "recorder",
+    "logger",
+    "launcher",
+)
+"""Settings of a training run that mean nothing to an environment alone."""
 
 
 def load(*overrides: str) -> DictConfig:
@@ -74,6 +90,7 @@ def make_env(
             f"{nearest(name, KEYWORDS)}"
         )
     values = (num_envs, seed, None if device is None else str(device), compile, pool_size)
+    _refuse_idle(overrides)
     given = [
         override(name, value)
         for name, value in zip(KEYWORDS, values, strict=True)
@@ -86,6 +103,16 @@ def make_env(
     )
     setup = set_up(config, size=config["pool_size"], seed=config["seed"], curricula=curricula)
     return setup.env(config["num_envs"], seed=config["seed"], compiled=config["compile"])
+
+
+def _refuse_idle(overrides: Sequence[str]) -> None:
+    """What would change nothing is refused, not ignored."""
+    keys = {text: text.lstrip("+~").partition("=")[0].partition(".")[0] for text in overrides}
+    if idle := [text for text, key in keys.items() if key in OF_RUNS]:
+        raise ConfigError(
+            f"{', '.join(idle)}: that is of a training run and changes nothing about an "
+            "environment; leave it out, or train by train.py."
+        )
 
 
 def load_policy(

@@ -139,3 +139,11 @@ def test_a_shipped_policy_flies_from_anywhere(tmp_path, monkeypatch):
 def test_a_policy_that_is_not_there_is_named():
     with pytest.raises(CheckpointError, match="policies/obstacle holds no policy"):
         resc.load_policy("policies/obstacle")
+
+
+@pytest.mark.parametrize(
+    "idle", ["resume=latest", "init_from=latest", "total_frames=5", "algorithm.steps=4", "~logger"]
+)
+def test_what_means_nothing_to_an_environment_is_refused(idle):
+    with pytest.raises(ConfigError, match="is of a training run and changes nothing"):
+        resc.make_env(idle, num_envs=1, pool_size=1)
