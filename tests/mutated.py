@@ -20,7 +20,7 @@ from resc.groups import GROUPS, names
 CONF = Path(__file__).parents[1] / "conf"
 LISTS = names(lambda group: group.several and group.stage)
 """Groups of several parts, which stand in the configuration under their names."""
-PACKAGES = {folder: group.name for group in GROUPS for folder in group.folders}
+PACKAGES = {folder: group.name for group in GROUPS if group.own_folder for folder in group.folders}
 NO_PARTS = ("experiment", "study", "hydra")
 
 POSITIVE, NONNEGATIVE, SHARE = (1e-300, math.inf), (0, math.inf), (0, 1)

@@ -61,7 +61,9 @@ def installed(wheel, tmp_path):
     """`installed(command, *arguments)`: a command of the wheel, in a folder with a space."""
     site, work, home = tmp_path / "a site", tmp_path / "a folder", tmp_path / "home"
     options = ["--quiet", "--no-deps", "--no-index", "--target", site]
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, wheel], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", *options, wheel], check=True, timeout=300
+    )
     work.mkdir()
     home.touch()  # no folder, so nothing can be written there, not even by root
     environment = {**os.environ, "PYTHONPATH": str(site), "HOME": str(home)}

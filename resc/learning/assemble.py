@@ -172,7 +172,9 @@ def restore(trainer: Trainer, folder: Path, *, resumes: bool, init_from: str | N
         networks = trainer.algorithm.networks
         afresh = load_weights(Path(init_from), networks, trainer.env.stages)
         if afresh:
-            print(f"Not in {init_from}, so these start from scratch: {', '.join(afresh)}", flush=True)
+            print(
+                f"Not in {init_from}, so these start from scratch: {', '.join(afresh)}", flush=True
+            )
 
 
 def build_held_out(config: Mapping[str, Any], episodes: int) -> tuple[QuadrotorEnv, dict[str, Any]]:

@@ -1,6 +1,6 @@
 """Recorded episodes to learn from: transitions in TorchRL's layout, in a replay buffer."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +20,8 @@ from resc.recording.columns import FLAGS, require_columns
 from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import TRAJECTORY, Selection
 
+NEEDED = (keys.ACTION, SAMPLED_ACTION.key, *(flag.key for flag in FLAGS))
+"""Columns that a dataset is made of."""
 ROWS = 256
 """Episodes flown again at once."""
 
@@ -78,19 +80,20 @@ def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None)
         for start in range(0, len(order), ROWS):
             rows = order[start : start + ROWS]
             some = episodes.take(rows)
+            recorded = list(some)
+            require_columns(recorded[0], NEEDED, "a dataset")
             # Uncompiled: a batch of another size, flown once, is not worth compiling for.
             env = environment_in({**config, "compile": False}, some.scenes(), len(some))
-            parts |= zip(rows, _flown(some, env), strict=True)
+            parts |= zip(rows, _flown(some, recorded, env), strict=True)
             bar.update(len(rows))
     return cast(TensorDict, torch.cat([parts[row] for row in range(len(order))]))
 
 
 @torch.no_grad()
-def _flown(episodes: Selection, env: QuadrotorEnv) -> Iterator[TensorDict]:
+def _flown(
+    episodes: Selection, recorded: Sequence[TensorDict], env: QuadrotorEnv
+) -> Iterator[TensorDict]:
     """The transitions of each episode `[T]`, all flown at once."""
-    recorded = list(episodes)
-    needed = (keys.ACTION, SAMPLED_ACTION.key, *(flag.key for flag in FLAGS))
-    require_columns(recorded[0], needed, "a dataset")
     count = len(recorded)
     sampled = [cast(Tensor, steps[SAMPLED_ACTION.key]) for steps in recorded]
     actions = pad_sequence(sampled).to(env.device)
