@@ -7,7 +7,8 @@ RESC's recorder writes; for other files, it makes a copy once that has them, and
 import shutil
 import tempfile
 import weakref
-from collections.abc import Mapping
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,6 +19,9 @@ from resc.recording.schema import ROLLOUT, WORLD
 from resc.recording.segments import FileHead, Message, Segment
 from resc.recording.specification import Specification
 from resc.recording.walk import Found, Walk
+
+_NO_BATCH = -1
+"""In place of the number of a batch, for scenes, which belong to none."""
 
 
 @dataclass
@@ -131,36 +135,56 @@ def _begins(path: Path, size: int, dt_ns: int) -> list[int]:
     """When each run in a file began to be written [ns].
 
     One run records every step of an environment once. Where a step is there with different
-    values, the clock tells the runs apart: each begins where the steps go back.
+    values, the clock tells the runs apart: each begins where the steps go back. More runs than
+    any step has versions are as many only if each of them begins with a first batch.
 
     Raises:
         RecordingError: Runs were recorded at the same time, so that what is whose cannot be told.
     """
-    first: dict[tuple[int, int], int] = {}
-    others: dict[tuple[int, int], set[int]] = {}
-    events: set[tuple[int, bool, int]] = set()  # publish time, whether of a batch, step
+    versions: dict[tuple[int, int], dict[int, int]] = {}  # when each was written, by its values
+    events: set[tuple[int, int, int]] = set()  # publish time, number of the batch, step
     with path.open("rb") as file:
         for found in Walk(file, size).messages():
             if found.topic == ROLLOUT:
-                place, digest = wire.place_of(found.data), hash(found.data)
-                if first.setdefault(place, digest) != digest:
-                    others.setdefault(place, set()).add(digest)
-                events.add((found.publish_time, True, place[0]))
+                place, number = wire.place_of(found.data), wire.batch_of(found.data)
+                versions.setdefault(place, {}).setdefault(hash(found.data), found.publish_time)
+                events.add((found.publish_time, number, place[0]))
             elif found.topic == WORLD:
-                events.add((found.publish_time, False, found.log_time // dt_ns))
-    begins, last, last_batch = [0], -1, -1
-    for time, is_batch, step in sorted(events) if others else ():
-        if step < last or (is_batch and step <= last_batch):
-            begins.append(time)
-            last_batch = -1
-        last, last_batch = step, step if is_batch else last_batch
-    if len(begins) != 1 + max(map(len, others.values()), default=0):
-        step, env_id = min(others)
+                events.add((found.publish_time, _NO_BATCH, found.log_time // dt_ns))
+    several = {place: list(times.values()) for place, times in versions.items() if len(times) > 1}
+    if not several:
+        return [0]
+    begins, first_batches = _where_steps_go_back(sorted(events))
+    mixed = [place for place, times in several.items() if _share_a_run(times, begins)]
+    known = len(begins) == max(map(len, several.values())) or not any(first_batches[1:])
+    if mixed or not known:
+        step, env_id = min(mixed or several)
         raise RecordingError(
             f"it holds step {step} of environment {env_id} more than once, of runs that were "
             "recorded at the same time"
         )
     return begins
+
+
+def _where_steps_go_back(events: Sequence[tuple[int, int, int]]) -> tuple[list[int], list[int]]:
+    """When each run begins [ns], and the number of its first batch; 0 for a run without any."""
+    begins, first_batches, last, last_batch = [0], [_NO_BATCH], -1, -1
+    for time, number, step in events:
+        if step < last or (number != _NO_BATCH and step <= last_batch):
+            begins.append(time)
+            first_batches.append(_NO_BATCH)
+            last_batch = -1
+        if number != _NO_BATCH:
+            last_batch = step
+            if first_batches[-1] == _NO_BATCH:
+                first_batches[-1] = number
+        last = step
+    return begins, [max(number, 0) for number in first_batches]
+
+
+def _share_a_run(times: Sequence[int], begins: Sequence[int]) -> bool:
+    """Whether two of some times belong to one run."""
+    return len({bisect_right(begins, time) for time in times}) < len(times)
 
 
 def _append(segment: Segment, batch: Mapping[int, Found]) -> None:

@@ -163,11 +163,25 @@ def place_of(message: bytes) -> tuple[int, int]:
     Raises:
         ValueError: It does not begin as a fragment does.
     """
+    header = _header(message)
+    return int(header["start_step"]), int(header["env_id"])
+
+
+def batch_of(message: bytes) -> int:
+    """The number of a fragment's batch, from 0 in each recorder.
+
+    Raises:
+        ValueError: It does not begin as a fragment does.
+    """
+    return int(_header(message)["batch"])
+
+
+def _header(message: bytes) -> np.void:
     header = np.frombuffer(message, _HEADER, 1)[0]
     expected = fixed_fields(ROLLOUT, 1)[0]
     if any(header[name] != expected[name] for name in _HEADER.names or () if name.endswith(".tag")):
         raise ValueError("not a fragment")
-    return int(header["start_step"]), int(header["env_id"])
+    return header
 
 
 def with_copies(

@@ -151,6 +151,56 @@ def test_two_runs_in_one_file_are_two_runs(original, other, tmp_path, metadata):
         recover(path, tmp_path / "y.mcap")
 
 
+@pytest.fixture(scope="module")
+def overlapping(tmp_path_factory):
+    """Three runs, each begun at the last batch of the one before it: steps 0, 10; 10, 20; 20, 30.
+
+    No step is in all of them.
+    """
+    paths = []
+    for number in range(3):
+        whole = rollout()
+        whole[keys.BODY_RATE_B] += number
+        folder = tmp_path_factory.mktemp("part")
+        record(folder, whole, batches=range(number, number + 2))
+        paths.append(folder / "rollouts_00000.mcap")
+    return paths
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+@pytest.mark.parametrize("metadata", [True, False])
+def test_runs_that_overlap_in_turn_are_as_many_runs(overlapping, tmp_path, metadata, order):
+    paths = [overlapping[number] for number in order]
+    log = RolloutLog(rewritten(tmp_path / "x.mcap", *paths, metadata=metadata))
+    assert log.start_steps == [0, 10, 10, 20, 20, 30]
+    for number, batch in enumerate((0, 0, 1, 1, 2, 2)):
+        expected = rollout()[log.start_steps[number] :][:STEPS][keys.BODY_RATE_B]
+        assert torch.equal(log.batch(number)[keys.BODY_RATE_B], expected + batch)
+
+
+def test_runs_that_took_turns_in_recording_are_refused(original, other, tmp_path):
+    """Batch after batch, one of each: as if one run had been begun again at each step."""
+    messages = []
+    for number, path in enumerate((original, other)):
+        turned = rewritten(
+            tmp_path / f"{number}.mcap", path, keep=lambda topic, _: topic == "/rollout"
+        )
+        with turned.open("rb") as file:
+            found = make_reader(file).iter_messages()
+            messages += [(m.log_time // DT_NS * 2 + number, m) for *_, m in found]
+    with (tmp_path / "x.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(library="another tool")
+        columns = schema_data("/rollout", COLUMNS)
+        schema = writer.register_schema("resc.RolloutFragment", "protobuf", columns)
+        channel = writer.register_channel("/rollout", "protobuf", schema)
+        for time, message in messages:
+            writer.add_message(channel, message.log_time, message.data, time)
+        writer.finish()
+    with pytest.raises(RecordingError, match=r"more than once, of runs .* at the same time"):
+        RolloutLog(tmp_path / "x.mcap")
+
+
 def test_file_merged_with_itself_is_read_once(original, tmp_path):
     log = RolloutLog(rewritten(tmp_path / "x.mcap", original, original, metadata=True))
     assert log.start_steps == [0, 10, 20, 30]
