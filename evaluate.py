@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
 from resc.console import logged
-from resc.evaluation.campaign import evaluate
+from resc.evaluation.campaign import Evaluation
 from resc.evaluation.suites import scenes_to_fly
 from resc.flying.pilot import build_pilots
 from resc.flying.replay import replay
@@ -55,7 +55,7 @@ def main(config: DictConfig) -> None:
         policy = load_policy(Path(config["policy"]), config["device"], allowed)
         pilots = build_pilots(config["pilot"], allowed)
         with logged(folder / "evaluate.log"):
-            print(evaluate(config, policy, scenes, folder, overrides, pilots=pilots))
+            print(Evaluation(config, policy, scenes, overrides, pilots).fly(folder))
 
 
 if __name__ == "__main__":

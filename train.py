@@ -9,7 +9,6 @@ python train.py --cfg job                          look, do not run
 """
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
@@ -19,16 +18,10 @@ from omegaconf import DictConfig, OmegaConf
 from resc import schema
 from resc.console import logged
 from resc.errors import ExitCode
-from resc.learning.assemble import (
-    build_trainer,
-    check_held_out,
-    first_weights,
-    fly_held_out,
-    restore,
-    resumed,
-)
+from resc.learning.beginning import first_weights, restore, resumed
 from resc.learning.progress import describe
 from resc.learning.training import train_and_save
+from resc.learning.training_run import TrainingRun
 from resc.process import prepare_process
 from resc.run_folder import (
     CONFIG,
@@ -40,7 +33,7 @@ from resc.run_folder import (
     succeeded,
     summary_of,
 )
-from resc.settings import check_settings
+from resc.settings import RESUMABLE, check_settings
 from resc.starting.launch import answering, launch, refuse_doubles
 from resc.starting.origin import note_origin
 from resc.sweep_folder import go_on
@@ -58,35 +51,37 @@ def main(config: DictConfig) -> None:
         if config["init_from"]:
             config["init_from"] = str(first_weights(config["init_from"], folder))
         if config["resume"]:
-            config = resumed(config, overrides, folder)
+            taken = {name: OmegaConf.select(config, name) for name in RESUMABLE}
+            config = resumed(folder, overrides, taken, config["resume"])
             summary = summary_of(folder)
             if is_finished(folder) and summary["frames"] >= config["total_frames"]:
                 print(f"{succeeded(summary)} already; a larger total_frames trains it further.")
                 return
-        run(config, folder, overrides)
+        run(TrainingRun(config, overrides), folder)
 
 
-def run(config: DictConfig, folder: Path, overrides: Sequence[str]) -> None:
+def run(training: TrainingRun, folder: Path) -> None:
     """Trains, flies held-out episodes, leaves policy, curve, recording, summary in the folder."""
+    config = training.config
     prepare_process(config["threads"], config["device"])
     print(f"Laying out {config['pool_size']} scenes", flush=True)
-    trainer = build_trainer(config)
-    check_held_out(config, trainer.env.stages)
+    trainer = training.trainer()
+    training.check_held_out(trainer.env.stages)
     restore(trainer, folder, resumes=bool(config["resume"]), init_from=config["init_from"])
     if is_finished(folder):
         put_aside(folder)
     OmegaConf.save(config, folder / CONFIG, resolve=True)
-    note_origin(folder, overrides)
+    note_origin(folder, training.overrides)
     link_latest(folder, "train")
     with logged(folder / "train.log"):
         print(describe(trainer.env.stages), flush=True)
-        summary = train_and_save(trainer, config, folder, overrides)
+        summary = train_and_save(trainer, training, folder)
         again = go_on(folder, config["allowed_targets"])
         if trainer.frames < config["total_frames"]:
             print(f"Stopped after {trainer.frames} frames. Go on with: {again}", file=sys.stderr)
             sys.exit(ExitCode.UNFINISHED)
         try:
-            flights = fly_held_out(config, folder, overrides)
+            flights = training.fly_held_out(folder)
         except BaseException as error:
             error.add_note(f"The policy is trained and kept; fly the held-out episodes by: {again}")
             raise

@@ -20,7 +20,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))  # when started as a file
 
 from benchmarks.measure import Flight, Job, load, machine, sentence, write_json
-from resc.learning.assemble import build_trainer
+from resc.learning.training_run import TrainingRun
 from resc.process import prepare_process
 from resc.schema import TrainSchema
 
@@ -49,7 +49,7 @@ class Row:
 def work(args: argparse.Namespace) -> Callable[[int], int]:
     """What a job does: n control steps, or n PPO iterations."""
     config = load([f"num_envs={args.envs}", f"device={args.device}"])
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     if args.what == "env":
         return Flight(trainer.env).run
 

@@ -31,13 +31,12 @@ from torch import Tensor
 
 from benchmarks import recording_read
 from benchmarks.measure import ROOT, Job, load, machine, sentence, write_json
-from resc.learning.assemble import build_trainer
 from resc.learning.trainer import Trainer
 from resc.learning.training import record_batch
+from resc.learning.training_run import TrainingRun
 from resc.policies.stored import load_policy
 from resc.process import prepare_process
 from resc.recording.rollouts import (
-    open_recorder,
     record_world,
     start_arrays,
     with_flown,
@@ -69,8 +68,7 @@ class Taken:
 
 def recorder_of(trainer: Trainer, config: DictConfig, folder: Path) -> RolloutRecorder:
     """The run's recorder, scenes and first episodes noted."""
-    recorder = open_recorder(
-        config,
+    recorder = TrainingRun(config).recorded.open(
         trainer.env.stages,
         directory=folder,
         outcomes=trainer.statistics.outcomes,
@@ -126,7 +124,7 @@ def write(trainer: Trainer, config: DictConfig, taken: list[Taken]) -> tuple[flo
 def measure_writer(args: argparse.Namespace) -> dict[str, float]:
     """Prints the table of compressions; the figures of the first, the default, are the result."""
     config = load([f"num_envs={args.envs}", "compile=false"])
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     taken = fly(trainer, batches=4 if args.quick else 16, burn_in=2 if args.quick else 8)
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in CODECS}
     for _ in range(2 if args.quick else 5):
@@ -166,7 +164,7 @@ def run_job(args: argparse.Namespace) -> None:
     """The life of a job: get ready, then one block per line on standard input."""
     prepare_process(args.threads, "cpu")
     config = load([f"threads={args.threads}", f"num_envs={args.envs}"])
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     with tempfile.TemporaryDirectory() as folder:
         recorder = recorder_of(trainer, config, Path(folder))
         block_rate(trainer, recorder, 0.0)  # compiles, and begins the file

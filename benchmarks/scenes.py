@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.measure import load, machine, sentence, write_json
-from resc.learning.assemble import build_trainer
+from resc.learning.training_run import TrainingRun
 from resc.process import prepare_process
 from resc.setup import set_up
 
@@ -34,7 +34,7 @@ def renewal_share(name: str) -> tuple[float, float]:
     """Milliseconds of processor time that renewal takes a batch, and its share of the batch."""
     torch.set_num_threads(1)
     config = load([f"scene={name}", "pool_size=512", "recorder=none"])
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     for _ in range(WARM):
         trainer.iterate()
     began = time.process_time()

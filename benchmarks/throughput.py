@@ -33,7 +33,7 @@ from benchmarks.measure import (
 )
 from resc.envs.gymnasium_env import QuadrotorGymEnv
 from resc.envs.quadrotor import QuadrotorEnv
-from resc.learning.assemble import build_trainer
+from resc.learning.training_run import TrainingRun
 from resc.process import prepare_process
 from resc.scenes.pool import ScenePool
 from resc.setup import Setup, build_stages, set_up
@@ -84,7 +84,9 @@ def ppo_rows(task: str, args: argparse.Namespace, effort: Effort) -> Iterator[Ro
     """Whole PPO iterations as `train.py` runs them, without recorder and logger."""
     for envs in (LARGEST,) if args.quick else PPO_SIZES:
         forget_compiled()
-        trainer = build_trainer(load([*TASKS[task], f"num_envs={envs}", f"device={args.device}"]))
+        trainer = TrainingRun(
+            load([*TASKS[task], f"num_envs={envs}", f"device={args.device}"])
+        ).trainer()
 
         def run(iterations: int, trainer=trainer) -> int:  # noqa: ANN001 - bound here, not a parameter
             for _ in range(iterations):

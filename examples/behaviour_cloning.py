@@ -29,9 +29,9 @@ from tqdm import trange
 from resc import schema
 from resc.errors import RecordingError, RescError
 from resc.flying.replay import recorded_config
-from resc.learning.assemble import build_algorithm, fly_held_out
 from resc.learning.offline import replay_buffer
-from resc.policies.stored import POLICY, save_policy
+from resc.learning.training_run import TrainingRun
+from resc.policies.stored import POLICY
 from resc.process import prepare_process
 from resc.recording import RolloutLog
 from resc.settings import check_settings
@@ -81,13 +81,15 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
     allowed = config["allowed_targets"]
     flights = RolloutLog(args.recording).where(success=True, complete=True)
     flights = flights.take(range(min(args.episodes, len(flights))))
-    stages = build_stages(config)
-    algorithm = build_algorithm(config, stages)
+    run, stages = TrainingRun(config), build_stages(config)
+    algorithm = run.algorithm(stages)
     policy = algorithm.policy
     prepare_output(args.out)
     recorded = recorded_config(flights, allowed)
     sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
-    buffer = replay_buffer(flights, batch_size=args.batch, config={**recorded, **sees})
+    buffer = replay_buffer(
+        flights, batch_size=args.batch, stages=build_stages({**recorded, **sees})
+    )
     if args.batch > len(buffer):
         raise RecordingError(
             f"--batch is {args.batch:,}, more than the {len(buffer):,} transitions recorded; "
@@ -106,8 +108,8 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
         optimizer.step()
         schedule.step()
         bar.set_postfix(loss=f"{loss.item():.4f}", refresh=False)
-    save_policy(args.out, algorithm.networks, stages, config)
-    held_out = fly_held_out(config, args.out)
+    run.save_policy(args.out, algorithm, stages)
+    held_out = run.fly_held_out(args.out)
     print(
         f"{held_out.success_rate:.1%} of {len(held_out)} held-out episodes succeed after cloning "
         f"{len(flights)} episodes ({len(buffer)} transitions). Policy: {args.out}"

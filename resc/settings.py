@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from resc.errors import ConfigError, nearest
 from resc.groups import GROUPS, TASK
@@ -71,25 +70,6 @@ def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
             f"checkpoint_every_s is {config['checkpoint_every_s']}; expected seconds above zero."
         )
     folder_name(config["name"])
-
-
-def typed(stored: DictConfig, schema: type[RunSchema], path: Path) -> DictConfig:
-    """A stored configuration with the types of a run's settings, as Hydra composes one, checked.
-
-    Raises:
-        ConfigError: A setting is missing, foreign, of another type or out of range.
-    """
-    repair = f"restore {path} from its run"
-    names = [field.name for field in fields(schema) if field.name not in LATER]
-    if missing := [name for name in names if name not in stored]:
-        raise ConfigError(f"{path} has no {missing[0]}; {repair}.")
-    try:
-        config = cast(DictConfig, OmegaConf.merge(OmegaConf.structured(schema), stored))
-    except OmegaConfBaseException as error:
-        reason = str(error).partition("\n")[0]
-        raise ConfigError(f"{error.full_key} is wrong ({reason}); {repair}.") from None
-    check_settings(config, schema)
-    return config
 
 
 def fingerprint(config: DictConfig) -> str:

@@ -16,6 +16,7 @@ from resc.maps.cells import require_room
 from resc.math.sampling import generator_for
 from resc.planning.route import RoutePlanner, planner_for
 from resc.quantities import NotNegative, checked
+from resc.scenes.laid_out import LaidOut
 from resc.scenes.layout import PARKED_M, Layout, Scene
 from resc.scenes.pool import ScenePool
 from resc.term import Curriculum, Observation, Term
@@ -52,7 +53,6 @@ def set_up(
     size: int,
     seed: int,
     curricula: Iterable[Curriculum] = (),
-    scene: Scene | None = None,
 ) -> Setup:
     """What a run's configuration flies in.
 
@@ -61,7 +61,6 @@ def set_up(
         size: Scenes of the pool.
         seed: Of the scenes.
         curricula: They ease the scenes; without one, difficulty is full.
-        scene: What lays out the scenes, instead of the group `scene`.
 
     Raises:
         ConfigError: A name, a number or a combination is wrong.
@@ -73,15 +72,26 @@ def set_up(
     room = {"size": size, "resolution_m": stages.context.resolution_m, "device": device}
     levels = {term.name: term.levels for term in curricula}
     pool = ScenePool(
-        scene or build_scene(config["scene"], seed=seed, allowed=allowed, **room),
+        build_scene(config["scene"], seed=seed, allowed=allowed, **room),
         **room,
         generator=generator_for(seed, "scene_layout"),
         plan=planner,
         levels=levels.get(stages.scene_difficulty or "", (1.0,)),
     )
-    if scene is None:
-        _require_ways(pool.layout, getattr(stages.terms.task, "radius_m", None))
+    _require_ways(pool.layout, getattr(stages.terms.task, "radius_m", None))
     return Setup(stages, pool, planner)
+
+
+def among(scenes: Layout, stages: Stages, device: torch.device | str = "cpu") -> Setup:
+    """A step and a reset in scenes that are laid out already, their routes included."""
+    pool = ScenePool(
+        LaidOut(scenes),
+        size=len(scenes),
+        resolution_m=stages.context.resolution_m,
+        generator=generator_for(0, "scene_layout"),
+        device=device,
+    )
+    return Setup(stages, pool)
 
 
 def build_scene(

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from resumed_by import resumed_by
 
 from resc.build import load_config
 from resc.errors import RescError
 from resc.flying.replay import fly_again
-from resc.learning.assemble import build_trainer, fly_held_out, restore, resumed
+from resc.learning.beginning import restore
 from resc.learning.progress import ProgressTable
 from resc.learning.training import train_and_save
+from resc.learning.training_run import TrainingRun
 from resc.log_command import main as resc_log
 from resc.policies.stored import load_policy
 from resc.process import prepare_process
@@ -49,8 +51,10 @@ def make_sweep(config: DictConfig, folder: Path) -> None:
         config["seed"] = number
         OmegaConf.save(config, run / "config.yaml", resolve=True)
         with quiet():
-            summary = train_and_save(build_trainer(config), config, run, overrides)
-            flights = fly_held_out(config, run, overrides)
+            summary = train_and_save(
+                TrainingRun(config).trainer(), TrainingRun(config, overrides), run
+            )
+            flights = TrainingRun(config, overrides).fly_held_out(run)
         rates = {"success_rate": flights.success_rate, "collision_rate": 0.0}
         finish_run(run, summary | {"episodes": len(flights), **rates}, "train")
         for name in ("job.json", "origin.json"):
@@ -67,12 +71,12 @@ def readers(config: DictConfig) -> dict[str, Callable[[Path], object]]:
 
     def resume(sweep: Path) -> None:
         run = sweep / "0"
-        again = resumed(DictConfig({**config, "resume": str(run)}), ["resume=x"], run)
+        again = resumed_by(DictConfig({**config, "resume": str(run)}), ["resume=x"], run)
         summary = summary_of(run)
         if is_finished(run) and summary["frames"] > again["total_frames"]:
             succeeded(summary)
         prepare_process(again["threads"], again["device"])
-        trainer = build_trainer(again)
+        trainer = TrainingRun(again).trainer()
         restore(trainer, run, resumes=True, init_from=again["init_from"])
         ProgressTable(run / "progress.csv", trainer.frames)
         trainer.iterate()

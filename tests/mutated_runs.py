@@ -31,14 +31,13 @@ import resc.schema
 from resc.build import build
 from resc.errors import RescError
 from resc.evaluation.courses import lay_out
-from resc.evaluation.setting import build_flying_env, settings_for
+from resc.evaluation.setting import Rules
 from resc.evaluation.suites import amounts_of
-from resc.learning.assemble import build_trainer
 from resc.learning.progress import describe
+from resc.learning.training_run import TrainingRun
 from resc.planning.route import planner_for
 from resc.policies.stored import load_policy
 from resc.process import prepare_process
-from resc.recording.rollouts import open_recorder
 from resc.schema import EvaluateSchema, TrainSchema
 from resc.settings import check_settings, listed
 
@@ -112,13 +111,12 @@ class Rest:
         """Two steps of every environment and an update; all numbers must be finite."""
         check_settings(config, TrainSchema)
         prepare_process(config["threads"], config["device"])
-        trainer = build_trainer(config)
+        trainer = TrainingRun(config).trainer()
         env = trainer.env
         describe(env.stages)
         with tempfile.TemporaryDirectory(dir=self.folder) as folder:
             build(config["logger"], "logger", folder=Path(folder)).close()
-            recorder = open_recorder(
-                config,
+            recorder = TrainingRun(config).recorded.open(
                 env.stages,
                 directory=Path(folder) / "rollouts",
                 outcomes=env.stages.outcomes,
@@ -142,8 +140,8 @@ class Rest:
         suite = config["suite"] if config["scenes"] is None else None
         amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
         courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner)
-        settings = settings_for(config, stored, own_routes=courses[0].own_routes)
-        env = build_flying_env(courses, settings)
+        settings = Rules(config, stored, own_routes=courses[0].own_routes)
+        env = settings.env(courses)
         env.restart(torch.arange(env.num_envs))
         out = env.advance(torch.zeros(env.num_envs, env.action_spec.shape[-1]))
         if not all(part.isfinite().all() for part in (out.observation, out.reward)):

@@ -11,8 +11,8 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
+from resc.learning.training_run import TrainingRun
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "add-a-part.md").read_text()
@@ -103,7 +103,7 @@ def test_the_algorithm_and_the_model_of_the_page_go_on_bit_for_bit(tmp_path, com
             "gamma": 0.9,
         }
     )
-    whole, half, again = (build_trainer(config) for _ in range(3))
+    whole, half, again = (TrainingRun(config).trainer() for _ in range(3))
     first = [p.detach().clone() for p in whole.algorithm.parameters]
     for _ in range(3):
         whole.iterate()

@@ -7,7 +7,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from resc.errors import ConfigError, RescError
-from resc.learning.assemble import build_trainer
+from resc.learning.training_run import TrainingRun
 from resc.process import require_memory
 from resc.setup import set_up
 
@@ -142,7 +142,7 @@ def build_with(settings, path, value):
     for parent in parents:
         node = node[parent]
     node[name] = value
-    return build_trainer(OmegaConf.create(changed))
+    return TrainingRun(OmegaConf.create(changed)).trainer()
 
 
 @pytest.mark.parametrize("path", CASES)

@@ -7,12 +7,13 @@ import shutil
 import pytest
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
+from resumed_by import resumed_by
 from test_ppo import SMALL
 
 import train as script
 from resc.errors import CheckpointError, ConfigError, TermError
 from resc.flying.held_out import read_episodes
-from resc.learning.assemble import resumed
+from resc.learning.training_run import TrainingRun
 from resc.policies.stored import load_policy
 from resc.recording.reader import RolloutLog
 from resc.run_folder import is_finished, summary_of
@@ -36,7 +37,7 @@ def finished(compose, tmp_path_factory):
     """The folder of a finished run."""
     folder = tmp_path_factory.mktemp("runs") / "finished"
     folder.mkdir()
-    script.run(compose(*RUN), folder, RUN)
+    script.run(TrainingRun(compose(*RUN), RUN), folder)
     return folder
 
 
@@ -45,7 +46,7 @@ def other(compose, tmp_path_factory):
     """The folder of a run of another seed."""
     folder = tmp_path_factory.mktemp("runs") / "other"
     folder.mkdir()
-    script.run(compose(*RUN, "seed=1"), folder, [])
+    script.run(TrainingRun(compose(*RUN, "seed=1"), []), folder)
     return folder
 
 
@@ -59,7 +60,7 @@ def own(finished, tmp_path):
 def go_on(compose, folder, *overrides):
     """Configuration that a run goes on with when the command line says `overrides`."""
     config = compose("compile=true", f"resume={folder}", *overrides)
-    return resumed(config, [f"resume={folder}", *overrides], folder)
+    return resumed_by(config, [f"resume={folder}", *overrides], folder)
 
 
 def test_run_leaves_what_it_said_and_where_it_is_from(finished):
@@ -101,7 +102,7 @@ def test_only_a_larger_budget_is_taken_from_the_command_line(compose, finished):
 def test_resuming_refuses_what_it_cannot_honour_by_name(compose, finished, override):
     own = [f"resume={finished}", override, "threads=1"]
     with pytest.raises(ConfigError) as raised:
-        resumed(compose(f"resume={finished}"), own, finished)
+        resumed_by(compose(f"resume={finished}"), own, finished)
     assert str(raised.value).startswith(f"{override}: a resumed run keeps")
     assert "total_frames" in str(raised.value)
 
@@ -143,7 +144,7 @@ def test_full_recording_may_be_given_more_room(compose, finished):
 def test_file_of_another_run_is_refused(compose, own, other, name):
     shutil.copy(other / name, own / name)
     with pytest.raises((ConfigError, CheckpointError), match="other settings than"):
-        script.run(go_on(compose, own, "total_frames=512"), own, [])
+        script.run(TrainingRun(go_on(compose, own, "total_frames=512"), []), own)
 
 
 def test_policy_of_another_run_is_refused(own, other):
@@ -158,7 +159,7 @@ def test_stored_configuration_is_resolved(compose, tmp_path, monkeypatch):
     config = compose(*RUN)
     config["reward"]["time"]["weight"] = "${oc.decode:${oc.env:WEIGHT}}"
     OmegaConf.resolve(config)
-    script.run(config, tmp_path, RUN)
+    script.run(TrainingRun(config, RUN), tmp_path)
     monkeypatch.setenv("WEIGHT", "9")
     assert OmegaConf.load(tmp_path / "config.yaml")["reward"]["time"]["weight"] == 3
 
@@ -178,7 +179,7 @@ def test_term_that_fails_later_is_named_and_leaves_the_policy(compose, tmp_path,
     own = ("reward.time._target_=late.Late", "allowed_targets=[late.]")
     (tmp_path / "run").mkdir()
     with pytest.raises(TermError) as raised:
-        script.run(compose(*RUN, *own), tmp_path / "run", [])
+        script.run(TrainingRun(compose(*RUN, *own), []), tmp_path / "run")
     assert str(raised.value).startswith("reward.time cannot be computed in step")
     assert "ValueError: late boom" in str(raised.value)
     assert load_policy(tmp_path / "run").layout
@@ -191,7 +192,7 @@ def test_full_disk_leaves_the_policy_and_no_half_of_a_checkpoint(compose, tmp_pa
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(CheckpointError, match=r"checkpoint.pt cannot be written .No space left"):
-        script.run(compose(*RUN, "recorder=none"), tmp_path, [])
+        script.run(TrainingRun(compose(*RUN, "recorder=none"), []), tmp_path)
     assert not list(tmp_path.glob("*.tmp"))
 
 
@@ -211,7 +212,7 @@ def test_run_of_a_sweep_is_lengthened_by_no_command(compose, own):
 def test_lengthened_run_puts_the_held_out_flights_of_the_earlier_policy_aside(compose, own):
     earlier = RolloutLog(own / "held_out").metadata["policy_sha256"]
     table = read_episodes(own / "evaluation.csv", 4)
-    script.run(go_on(compose, own, "total_frames=512"), own, [])
+    script.run(TrainingRun(go_on(compose, own, "total_frames=512"), []), own)
     assert is_finished(own)
     later = RolloutLog(own / "held_out")
     assert len(later) == 4
@@ -225,7 +226,7 @@ def test_lengthened_run_puts_the_held_out_flights_of_the_earlier_policy_aside(co
 @pytest.mark.slow
 def test_summary_counts_all_processes_and_this_one(compose, own):
     before = summary_of(own)
-    script.run(go_on(compose, own, "total_frames=512"), own, [])
+    script.run(TrainingRun(go_on(compose, own, "total_frames=512"), []), own)
     after = summary_of(own)
     assert after["frames"] == 512
     assert after["process"]["frames"] == 512 - BUDGET
@@ -238,7 +239,7 @@ def test_run_killed_before_its_first_checkpoint_begins_again(compose, own):
     whole = (own / "policy.pt").read_bytes()
     for name in ("checkpoint.pt", "summary.json", "evaluation.csv", "policy.pt"):
         (own / name).unlink()
-    script.run(go_on(compose, own), own, [])
+    script.run(TrainingRun(go_on(compose, own), []), own)
     assert (own / "policy.pt").read_bytes() == whole
     assert len((own / "progress.csv").read_text().splitlines()) == 3
 
@@ -249,9 +250,9 @@ def test_failing_held_out_flights_leave_the_policy_and_say_how_to_fly_them(
     def fail(*_):
         raise ConfigError("no")
 
-    monkeypatch.setattr(script, "fly_held_out", fail)
+    monkeypatch.setattr(TrainingRun, "fly_held_out", fail)
     with pytest.raises(ConfigError) as raised:
-        script.run(compose(*RUN), tmp_path, RUN)
+        script.run(TrainingRun(compose(*RUN), RUN), tmp_path)
     (note,) = raised.value.__notes__
     assert note.endswith(f"python train.py resume={tmp_path}")
     assert load_policy(tmp_path).layout
@@ -278,7 +279,7 @@ def test_parts_of_a_package_of_ones_own_fly_to_the_end(compose, tmp_path, monkey
     targets = [f"{group}._target_=mine.{name}" for group, name in own.items()]
     config = compose(*RUN, *targets, "allowed_targets=[mine.]")
     (tmp_path / "run").mkdir()
-    script.run(config, tmp_path / "run", [])
+    script.run(TrainingRun(config, []), tmp_path / "run")
     assert is_finished(tmp_path / "run")
     assert len(RolloutLog(tmp_path / "run" / "rollouts")) > 0
     with pytest.raises(ConfigError, match=r"model._target_ is 'mine.Network', outside"):
@@ -303,7 +304,7 @@ def test_held_out_flights_that_cannot_be_are_refused_before_training(
     compose, tmp_path, override, sentence
 ):
     with pytest.raises((ConfigError, HydraException), match=sentence):
-        script.run(compose(*RUN, override), tmp_path, RUN)
+        script.run(TrainingRun(compose(*RUN, override), RUN), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -364,4 +365,4 @@ def test_latest_run_of_a_sweep_resumes_the_sweep(tmp_path, monkeypatch):
 def test_folder_of_an_evaluation_is_not_resumed(compose, tmp_path):
     (tmp_path / "config.yaml").write_text("flights: 3")
     with pytest.raises(ConfigError, match="holds no training run"):
-        resumed(compose(f"resume={tmp_path}"), [], tmp_path)
+        resumed_by(compose(f"resume={tmp_path}"), [], tmp_path)

@@ -13,7 +13,7 @@ Finds the fastest flight and a smooth one, prints them as a table, draws them, a
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,32 +54,47 @@ to the limits of `limits` and are local optima, found from the shortest path of 
 Task = tuple[str, Crossing, PlannedPath]
 
 
-def main(config: DictConfig, folder: Path) -> None:
-    """One run in its folder: solve, store, draw, report."""
-    check_settings(config, schema.BoundSchema)
-    prepare_process(config["threads"], config["device"])
-    solver()
-    limits = limits_of(config["limits"])
-    planner = planner_for(
-        search=config["search"],
-        task=config["task"],
-        env=config["env"],
-        allowed=config["allowed_targets"],
-    )
-    if planner is None:
-        raise ConfigError("search is none, but the path leads the solver; set search=visibility.")
-    names = scenes_to_fly(config["scenes"], config["suite"], given())
-    scenes = compose_scenes(names, config["scene"])
-    suite = config["suite"] if config["scenes"] is None else None
-    amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
-    own = {"seed": config["seed"], "allowed": config["allowed_targets"]}
-    tasks = list(find_tasks(scenes, amounts, planner, limits, **own))
-    with logged(folder / "bound.log"):
-        OmegaConf.save(config, folder / "config.yaml")
-        stored = Path(config["references"]) if config["references"] else None
-        if config["missing"]:
-            tasks = missing(tasks, stored)
-        print(bound(tasks, stored, folder))
+@dataclass(frozen=True)
+class Bounding:
+    """The references of some scenes: solved, stored, drawn, reported.
+
+    Args:
+        config: Of bound.yaml.
+        folder: Where the report goes.
+    """
+
+    config: DictConfig
+    folder: Path
+
+    def __call__(self) -> None:
+        """Solves every task, or says what cannot be."""
+        config = self.config
+        check_settings(config, schema.BoundSchema)
+        prepare_process(config["threads"], config["device"])
+        solver()
+        tasks = list(self.tasks())
+        with logged(self.folder / "bound.log"):
+            OmegaConf.save(config, self.folder / "config.yaml")
+            stored = Path(config["references"]) if config["references"] else None
+            if config["missing"]:
+                tasks = missing(tasks, stored)
+            print(bound(tasks, stored, self.folder))
+
+    def tasks(self) -> Iterator[Task]:
+        """Every map that a reference is sought for."""
+        config, allowed = self.config, self.config["allowed_targets"]
+        nodes = {name: config[name] for name in ("search", "task", "env")}
+        planner = planner_for(**nodes, allowed=allowed)
+        if planner is None:
+            raise ConfigError(
+                "search is none, but the path leads the solver; set search=visibility."
+            )
+        names = scenes_to_fly(config["scenes"], config["suite"], given())
+        scenes = compose_scenes(names, config["scene"])
+        suite = config["suite"] if config["scenes"] is None else None
+        amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
+        limits = limits_of(config["limits"])
+        return find_tasks(scenes, amounts, planner, limits, seed=config["seed"], allowed=allowed)
 
 
 def find_tasks(
@@ -195,4 +210,4 @@ def _cells(reference: Reference) -> list[str]:
 
 if __name__ == "__main__":
     schema.register()
-    launch_here(main, "bound")
+    launch_here(Bounding, "bound")

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
 from resc.evaluation.references import Reference, References, crossings, digest
 from resc.evaluation.scene_files import write_scene_files
-from resc.evaluation.setting import build_flying_env
+from resc.evaluation.setting import Rules
 from resc.evaluation.statistics import SceneReport, asked, join, report_scenes, tabulate
 from resc.evaluation.table import failures, markdown, write_flights, write_scenes
 from resc.flying.flights import Flights, fly_recorded
@@ -27,7 +26,6 @@ REPORT, SCENES_TABLE, FLIGHTS_TABLE, PICTURE = (
     "flights.csv",
     "flights.png",
 )
-Settings = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -35,25 +33,22 @@ class Contest:
     """What every pilot of an evaluation flies and is measured by.
 
     Args:
-        config: Of the evaluation.
         courses: The scenes, laid out and planned.
-        rules: Settings of the environment, by whether the scenes bring their own routes.
+        rules: What they are flown under, by whether the scenes bring their own routes.
         limits: What is asked of every flight.
         references: What flights are compared with.
-        overrides: Of the command, for the recordings.
+        scene_files: How many flights of every course are left as 3-D scenes.
     """
 
-    config: Settings
     courses: Sequence[Course]
-    rules: Mapping[bool, Settings]
+    rules: Mapping[bool, Rules]
     limits: Limits
     references: References
-    overrides: Sequence[str] = ()
+    scene_files: int = 0
 
-    def arrival_m(self, course: Course) -> float:
-        """How near to a control point a flight reaches it [m]."""
-        rules = self.rules[course.own_routes]
-        return float(rules["task"]["control_points"].get("radius_m", 0.5))
+    def rules_of(self, course: Course) -> Rules:
+        """What a course is flown under."""
+        return self.rules[course.own_routes]
 
 
 @dataclass(frozen=True)
@@ -82,11 +77,12 @@ class Result:
 def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Result:
     """Flies every course, and leaves tables, pictures and recordings in the folder."""
     courses, limits = contest.courses, contest.limits
-    flown = fly_courses(courses, pilot, contest.rules, folder, contest.overrides)
+    flown = fly_courses(courses, pilot, contest.rules, folder)
     folder.mkdir(parents=True, exist_ok=True)
     measured_by = {c.name: references_of(c, limits, contest.references) for c in courses}
     tables = [
-        tabulate(c, flown[c.name], measured_by[c.name], contest.arrival_m(c)) for c in courses
+        tabulate(c, flown[c.name], measured_by[c.name], contest.rules_of(c).arrival_m)
+        for c in courses
     ]
     tables = [{**table, **asked(limits, len(table["scene"]))} for table in tables]
     reports = report_scenes(tables, [course.redrawn for course in courses])
@@ -116,26 +112,20 @@ def references_of(course: Course, limits: Limits, references: References) -> lis
 
 
 def fly_courses(
-    courses: Sequence[Course],
-    pilot: Pilot,
-    rules: Mapping[bool, Settings],
-    folder: Path,
-    overrides: Sequence[str] = (),
+    courses: Sequence[Course], pilot: Pilot, rules: Mapping[bool, Rules], folder: Path
 ) -> dict[str, Flights]:
     """The flights of every course: all at once where the same rules hold.
 
     Args:
         courses: What to fly.
         pilot: What flies.
-        rules: Settings of the environment, by whether the scenes bring their own routes.
-        folder: Where the recordings go, each set of rules in one of its own.
-        overrides: Of the command, for the recordings.
+        rules: What they are flown under, by whether the scenes bring their own routes.
+        folder: Where the recordings go, those under each set of rules in a folder of their own.
     """
     flown: dict[str, Flights] = {}
     for directory, group in _flown_together(courses, folder).items():
-        settings, first = rules[group[0].own_routes], 0
-        env = build_flying_env(group, settings)
-        flights = fly_recorded(env, pilot, settings, directory, overrides)
+        own, first = rules[group[0].own_routes], 0
+        flights = fly_recorded(own.env(group), pilot, own.recorded, directory)
         for course in group:
             flown[course.name] = flights.rows(first, first + len(course))
             first += len(course)
@@ -163,9 +153,9 @@ def _draw(
     """A picture of every scene, and one of all."""
     pictured = []
     for course, report in zip(contest.courses, reports, strict=False):
-        resolution = contest.rules[course.own_routes]["env"]["resolution_m"]
+        resolution = contest.rules_of(course).stages.context.resolution_m
         own = flown[course.name], measured_by[course.name]
-        pictured.append(Flown(course, *own, report, contest.arrival_m(course), resolution))
+        pictured.append(Flown(course, *own, report, contest.rules_of(course).arrival_m, resolution))
     for scene in pictured:
         draw_scene(scene, folder / f"flight_{scene.course.name}.png")
     draw_overview(pictured, folder / PICTURE)
@@ -177,8 +167,8 @@ def _write_scene_files(contest: Contest, folder: Path) -> str:
         written = write_scene_files(
             _flown_together(contest.courses, folder),
             folder / SCENES,
-            first=contest.config["scene_files"],
-            allowed=contest.config["allowed_targets"],
+            first=contest.scene_files,
+            allowed=contest.rules[False].settings["allowed_targets"],
         )
     except RecordingError as error:
         return f"No (more) 3-D scenes: {error}"

@@ -4,6 +4,8 @@ import hashlib
 import json
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -21,18 +23,18 @@ from resc.evaluation.by_pilot import (
     Result,
     fly_contest,
 )
-from resc.evaluation.commanded import commanded, commanded_scenes, dial_of
+from resc.evaluation.commanded import Dial, commanded_scenes, dial_of, require_own, turned
 from resc.evaluation.courses import lay_out
 from resc.evaluation.references import STORED, limits_of, read_references
-from resc.evaluation.setting import settings_for
+from resc.evaluation.setting import Rules
 from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import summary
 from resc.evaluation.together import write_together
 from resc.flying.pilot import Pilot, PolicyPilot
 from resc.planning.route import planner_for
+from resc.planning.time_optimal import Limits
 from resc.policies.stored import StoredPolicy
 from resc.run_folder import POLICY, finish_run, provenance
-from resc.setup import build_stages
 
 NO_MATTER = ("name", "threads", "policy", "pilot")
 """Settings by which no number of an evaluation changes; of the policy and the
@@ -40,82 +42,154 @@ pilots, what they are does."""
 Settings = Mapping[str, Any]
 
 
-def evaluate(
-    config: Settings,
-    policy: StoredPolicy,
-    scenes: Mapping[str, Settings],
-    folder: Path,
-    overrides: Sequence[str] = (),
-    *,
-    pilots: Sequence[Pilot] = (),
-) -> str:
-    """Flies every scene with every pilot; leaves tables, pictures, recordings and a summary.
+@dataclass(frozen=True)
+class Evaluation:
+    """Every scene flown by every pilot.
 
     Args:
         config: Of the evaluation.
         policy: Whose vehicle, action and observation are flown.
         scenes: Their configurations, by name.
-        folder: Where everything is left; with several pilots, each has a folder in it.
         overrides: Of the command, which the recordings name.
-        pilots: What flies; without any, the policy.
-
-    Returns the report, and where to find the rest.
-
-    Raises:
-        PlanningError: A flight has no path.
-        CheckpointError: The policy expects another observation than its configuration describes.
-        ConfigError: A number is out of range, limits are asked that the policy does not know, or a
-            pilot cannot fly this environment.
+        given_pilots: What flies; without any, the policy.
     """
-    began = time.perf_counter()
-    if config["scene_files"] < 0:
-        raise ConfigError(f"scene_files is {config['scene_files']}; expected 0 or more.")
-    pilots = pilots or [PolicyPilot(policy)]
-    limits = limits_of(config["limits"])
-    references = read_references(Path(config["references"]) if config["references"] else None)
-    stored = cast(dict[str, Any], OmegaConf.to_container(policy.config, resolve=True))
-    allowed = config["allowed_targets"]
-    dial = dial_of(stored.get("randomization"), stored.get("observation"), allowed)
-    if dial and "clearance_m" not in (config["scene"] or {}):
-        scenes = commanded_scenes(scenes, dial, limits)
-    config = commanded(config, stored, dial, limits, overrides)
-    rules = {own: settings_for(config, stored, own_routes=own) for own in (False, True)}
-    for pilot in pilots:
-        pilot.check(build_stages(rules[False]))
-    # Planned as on the maps of the policy.
-    env = {**stored["env"], **(config["env"] or {})}
-    planner = planner_for(search=config["search"], task=config["task"], env=env, allowed=allowed)
-    suite = config["suite"] if config["scenes"] is None else None
-    amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
-    courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
-    folder.mkdir(parents=True, exist_ok=True)
-    OmegaConf.save(OmegaConf.create(dict(config)), folder / "config.yaml")
-    contest = Contest(config, courses, rules, limits, references, overrides)
-    results = _fly_all(contest, pilots, folder)
-    flying_s = sum(result.flying_s for result in results)
-    frames = sum(result.frames for result in results)
-    figures = {
-        "frames": frames,
-        "wall_s": time.perf_counter() - began,
-        "frames_per_s": frames / flying_s,
-        **_summary(results),
-        "policy": str(_near(Path(config["policy"]).resolve())),
-        "fingerprint": fingerprint(config, scenes, pilots),
-        "seed": config["seed"],
-        **provenance(),
-    }
-    finish_run(folder, figures, "evaluation")
-    told = results[0].text if len(results) == 1 else write_together(results, limits, folder)
-    return f"{told}\n{_left_in(folder, results)}"
 
+    config: Settings
+    policy: StoredPolicy
+    scenes: Mapping[str, Settings]
+    overrides: Sequence[str] = ()
+    given_pilots: Sequence[Pilot] = ()
 
-def _fly_all(contest: Contest, pilots: Sequence[Pilot], folder: Path) -> list[Result]:
-    """What comes of every pilot: several have a folder each, one leaves all in the evaluation's."""
-    if len(pilots) > 1:
-        return [fly_contest(contest, p, folder / p.name, p.name) for p in pilots]
-    (pilot,) = pilots
-    named = contest.config["policy"] if isinstance(pilot, PolicyPilot) else pilot.name
-    return [fly_contest(contest, pilot, folder, named)]
+    def fly(self, folder: Path) -> str:
+        """Leaves tables, pictures, recordings and a summary in the folder.
+
+        With several pilots, each has a folder in it. Returns the report, and where to find the
+        rest.
+
+        Raises:
+            PlanningError: A flight has no path.
+            CheckpointError: The policy expects another observation than its configuration
+                describes.
+            ConfigError: A number is out of range, limits are asked that the policy does not know,
+                or a pilot cannot fly this environment.
+        """
+        began = time.perf_counter()
+        contest = self._contest()
+        folder.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(OmegaConf.create(dict(contest.rules[False].asked)), folder / "config.yaml")
+        results = self._fly_all(contest, folder)
+        flying_s = sum(result.flying_s for result in results)
+        frames = sum(result.frames for result in results)
+        figures = {
+            "frames": frames,
+            "wall_s": time.perf_counter() - began,
+            "frames_per_s": frames / flying_s,
+            **_summary(results),
+            "policy": str(_near(Path(self.config["policy"]).resolve())),
+            "fingerprint": self.fingerprint,
+            "seed": self.config["seed"],
+            **provenance(),
+        }
+        finish_run(folder, figures, "evaluation")
+        several = len(results) > 1
+        told = write_together(results, contest.limits, folder) if several else results[0].text
+        return f"{told}\n{_left_in(folder, results)}"
+
+    @cached_property
+    def pilots(self) -> Sequence[Pilot]:
+        """What flies."""
+        return self.given_pilots or [PolicyPilot(self.policy)]
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of all that is flown and what it is measured by, but for the code.
+
+        Settings, scenes, what the pilots say of themselves, the policy's weights and the stored
+        references: equal for equal evaluations.
+        """
+        config = self.config
+        plain = OmegaConf.to_container(OmegaConf.create(dict(config)), resolve=True)
+        made = {
+            key: value for key, value in cast(dict[str, Any], plain).items() if key not in NO_MATTER
+        }
+        made["scenes_flown"] = {name: dict(node) for name, node in self.scenes.items()}
+        made["flown_by"] = {pilot.name: dict(pilot.facts()) for pilot in self.pilots}
+        text = json.dumps(made, sort_keys=True, default=str).encode()
+        files = [Path(config["policy"]) / POLICY, Path(config["references"] or STORED)]
+        return hashlib.sha256(
+            b"".join([text, *(path.read_bytes() if path.is_file() else b"" for path in files)])
+        ).hexdigest()
+
+    @cached_property
+    def limits(self) -> Limits:
+        """What is asked of every flight.
+
+        Raises:
+            ConfigError: A number is out of range.
+        """
+        return limits_of(self.config["limits"])
+
+    @cached_property
+    def asked(self) -> dict[str, Any]:
+        """The configuration, its limits asked of the policy if it can be asked.
+
+        Raises:
+            ConfigError: A limit is outside of what was trained, or the policy does not know it.
+        """
+        config, trained = self.config, self._trained
+        if self._dial is None:
+            sensors, terminations = trained.get("sensor"), trained.get("termination")
+            require_own(self.limits, config.get("sensor"), sensors, terminations)
+            return dict(config)
+        given = [text.lstrip("+").partition("=")[0] for text in self.overrides]
+        groups = turned(
+            self._dial,
+            self.limits,
+            trained=trained["randomization"],
+            clearance_given="search.clearance_m" in given,
+            **{group: config[group] for group in ("randomization", "sensor", "search")},
+        )
+        return {**config, **groups}
+
+    @cached_property
+    def _trained(self) -> dict[str, Any]:
+        """The configuration that the policy was trained with."""
+        return cast(dict[str, Any], OmegaConf.to_container(self.policy.config, resolve=True))
+
+    @cached_property
+    def _dial(self) -> Dial | None:
+        """What the policy can be asked for."""
+        trained = self._trained
+        drawn, seen = trained.get("randomization"), trained.get("observation")
+        return dial_of(drawn, seen, self.config["allowed_targets"])
+
+    def _contest(self) -> Contest:
+        """What the pilots fly: everything checked, laid out and planned."""
+        config, scenes, allowed = self.config, self.scenes, self.config["allowed_targets"]
+        if config["scene_files"] < 0:
+            raise ConfigError(f"scene_files is {config['scene_files']}; expected 0 or more.")
+        references = read_references(Path(config["references"]) if config["references"] else None)
+        if self._dial and "clearance_m" not in (config["scene"] or {}):
+            scenes = commanded_scenes(scenes, self._dial, self.limits)
+        asked, trained = self.asked, self._trained
+        rules = {own: Rules(asked, trained, own, self.overrides) for own in (False, True)}
+        for pilot in self.pilots:
+            pilot.check(rules[False].stages)
+        # Planned as on the maps of the policy.
+        env = {**trained["env"], **(asked["env"] or {})}
+        planner = planner_for(search=asked["search"], task=asked["task"], env=env, allowed=allowed)
+        suite = config["suite"] if config["scenes"] is None else None
+        amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
+        courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
+        return Contest(courses, rules, self.limits, references, config["scene_files"])
+
+    def _fly_all(self, contest: Contest, folder: Path) -> list[Result]:
+        """What comes of every pilot: several have a folder each, one leaves all in `folder`."""
+        if len(self.pilots) > 1:
+            return [fly_contest(contest, p, folder / p.name, p.name) for p in self.pilots]
+        (pilot,) = self.pilots
+        named = self.config["policy"] if isinstance(pilot, PolicyPilot) else pilot.name
+        return [fly_contest(contest, pilot, folder, named)]
 
 
 def _summary(results: Sequence[Result]) -> dict[str, Any]:
@@ -124,25 +198,6 @@ def _summary(results: Sequence[Result]) -> dict[str, Any]:
     if len(results) > 1:
         return {"pilots": own}
     return {**summary(results[0].reports), "pilot": {n: dict(o["pilot"]) for n, o in own.items()}}
-
-
-def fingerprint(config: Settings, scenes: Mapping[str, Settings], pilots: Sequence[Pilot]) -> str:
-    """SHA-256 of all that an evaluation flies and is measured by, but for the code.
-
-    Settings, scenes, what the pilots say of themselves, the policy's weights and the stored
-    references: equal for equal evaluations.
-    """
-    plain = OmegaConf.to_container(OmegaConf.create(dict(config)), resolve=True)
-    made = {
-        key: value for key, value in cast(dict[str, Any], plain).items() if key not in NO_MATTER
-    }
-    made["scenes_flown"] = {name: dict(node) for name, node in scenes.items()}
-    made["flown_by"] = {pilot.name: dict(pilot.facts()) for pilot in pilots}
-    text = json.dumps(made, sort_keys=True, default=str).encode()
-    files = [Path(config["policy"]) / POLICY, Path(config["references"] or STORED)]
-    return hashlib.sha256(
-        b"".join([text, *(path.read_bytes() if path.is_file() else b"" for path in files)])
-    ).hexdigest()
 
 
 def _left_in(folder: Path, results: Sequence[Result]) -> str:

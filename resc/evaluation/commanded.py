@@ -54,43 +54,47 @@ def dial_of(
     return Dial(speeds[0], margins[0]) if {keys.SPEED_LIMIT, keys.MARGIN} <= seen else None
 
 
-def commanded(
-    config: Settings,
-    stored: Settings,
-    dial: Dial | None,
+def turned(
+    dial: Dial,
     limits: Limits,
-    overrides: Sequence[str] = (),
+    *,
+    randomization: Settings | None,
+    trained: Settings,
+    sensor: Settings | None,
+    search: Settings | None,
+    clearance_given: bool = False,
 ) -> dict[str, Any]:
-    """The evaluation's configuration, its limits asked of the policy.
+    """Groups of an evaluation in which its limits are asked of a policy with a dial.
 
-    Of a policy with a dial they become the limits that are counted and the draws of every flight,
-    and the search keeps the margin and the headroom of the training unless the `overrides` give
-    `search.clearance_m`. For any other policy nothing changes.
+    The limits become those that are counted and the draws of every flight, and the search keeps the
+    margin and the headroom of the training, unless its clearance is given.
+
+    Args:
+        dial: Of the policy.
+        limits: What is asked.
+        randomization: Group of the evaluation.
+        trained: The same group of the policy's training.
+        sensor: Group of the evaluation.
+        search: Group of the evaluation.
+        clearance_given: Whether the command gives `search.clearance_m`.
 
     Raises:
         ConfigError: A limit is outside of what was trained.
     """
-    if dial is None:
-        counted, trained = (_counted(of.get("sensor")) for of in (config, stored))
-        collision = (stored.get("termination") or {}).get("collision") or {}
-        _require_own(limits, counted, trained, collision.get("radius_m"))
-        return dict(config)
     _require_within("limits.speed_mps", limits.speed_mps, dial.speed.speed_mps, "m/s")
     _require_within("limits.margin_m", limits.margin_m, dial.margin.margin_m, "m")
     fixed = {dial.speed: limits.speed_mps, dial.margin: limits.margin_m}
     drawn = {
-        term.name: {**stored["randomization"][term.name], part: [value, value]}
+        term.name: {**trained[term.name], part: [value, value]}
         for (term, value), part in zip(fixed.items(), ("speed_mps", "margin_m"), strict=True)
     }
-    sensors = {**(config["sensor"] or {})}
+    sensors = {**(sensor or {})}
     if sensors.get("limit_violations"):
         sensors["limit_violations"] = {**sensors["limit_violations"], "speed_mps": limits.speed_mps}
-    search = config["search"]
-    if search and not _gives(overrides, "search.clearance_m"):
+    if search and not clearance_given:
         search = {**search, "clearance_m": clearance_m(dial, limits)}
     return {
-        **config,
-        "randomization": {**(config["randomization"] or {}), **drawn},
+        "randomization": {**(randomization or {}), **drawn},
         "sensor": sensors,
         "search": search,
     }
@@ -121,18 +125,27 @@ def _require_within(name: str, value: float, ends: tuple[float, float], unit: st
         )
 
 
-def _counted(sensors: Settings | None) -> float | None:
-    """The speed [m/s] above which steps are counted, if some are."""
-    return ((sensors or {}).get("limit_violations") or {}).get("speed_mps")
-
-
-def _require_own(
-    limits: Limits, counted: float | None, trained: float | None, radius: float | None
+def require_own(
+    limits: Limits,
+    sensors: Settings | None,
+    trained_sensors: Settings | None,
+    terminations: Settings | None,
 ) -> None:
     """Refuses limits that a policy without a dial cannot know of.
 
     The speed above which steps are counted may differ: it is the evaluation's.
+
+    Args:
+        limits: What is asked.
+        sensors: Group of the evaluation.
+        trained_sensors: The same group of the policy's training.
+        terminations: Of the training.
+
+    Raises:
+        ConfigError: A limit is neither the policy's nor the one that is counted.
     """
+    counted, trained = _counted(sensors), _counted(trained_sensors)
+    radius = ((terminations or {}).get("collision") or {}).get("radius_m")
     asked = (
         ("speed_mps", limits.speed_mps, (trained, counted), trained),
         ("margin_m", limits.margin_m, (radius, INFLATION_M), radius or INFLATION_M),
@@ -146,5 +159,6 @@ def _require_own(
             )
 
 
-def _gives(overrides: Sequence[str], key: str) -> bool:
-    return any(text.lstrip("+").partition("=")[0] == key for text in overrides)
+def _counted(sensors: Settings | None) -> float | None:
+    """The speed [m/s] above which steps are counted, if some are."""
+    return ((sensors or {}).get("limit_violations") or {}).get("speed_mps")

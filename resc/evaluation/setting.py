@@ -1,14 +1,19 @@
 """The environment of an evaluation: the policy's vehicle and senses, the evaluation's rules."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+from omegaconf import OmegaConf
+
 from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import Stages
 from resc.evaluation.courses import Course
 from resc.groups import EVALUATE, names
-from resc.scenes.laid_out import LaidOut
+from resc.recording.rollouts import RecordedRun
 from resc.scenes.layout import concatenate
-from resc.setup import set_up
+from resc.setup import among, build_stages
 
 POLICYS = names(lambda group: group.owner == "policy")
 """Groups taken from the policy's configuration, unless the command line names one."""
@@ -19,30 +24,73 @@ OWN = names(lambda g: g.owner == "evaluation" and g.stage and EVALUATE in g.runs
 MEASURING = ("limit_violations", "surface_clearance")
 """Sensors that metrics and terminations read: the evaluation's, not those of the training."""
 RUN = ("allowed_targets", "device", "compile", "seed", "recorder")
+Settings = Mapping[str, Any]
 
 
-def settings_for(
-    config: Mapping[str, Any], stored: Mapping[str, Any], *, own_routes: bool
-) -> dict[str, Any]:
-    """The configuration that an environment is built from.
+@dataclass(frozen=True)
+class Rules:
+    """What flights are flown under.
 
-    What the policy sees and moves comes from `stored`; what is asked of it and measured from
-    `config`. Scenes with routes of their own are flown under the stored task and terminations.
+    What the policy sees and moves comes from its training; what is asked of it and measured, from
+    the evaluation. Scenes with routes of their own are flown under the task and the terminations of
+    the training.
+
+    Args:
+        asked: The evaluation's configuration.
+        trained: The policy's.
+        own_routes: Whether the scenes bring their own routes.
+        overrides: Of the command, which the recordings name.
     """
-    settings = {key: config[key] for key in RUN}
-    settings |= {group: config.get(group) or stored.get(group, {}) for group in POLICYS}
-    settings["env"] = {**stored["env"], **(config.get("env") or {})}  # numbers, each for itself
-    rules = stored if own_routes else config
-    settings |= {group: rules[group] for group in SCENES}
-    settings |= {group: config[group] for group in OWN}
-    measuring = {name: config["sensor"][name] for name in MEASURING if name in config["sensor"]}
-    settings["sensor"] = {**config["sensor"], **(stored["sensor"] or {}), **measuring}
-    return settings
 
+    asked: Settings
+    trained: Settings
+    own_routes: bool
+    overrides: Sequence[str] = ()
 
-def build_flying_env(courses: Sequence[Course], settings: Mapping[str, Any]) -> QuadrotorEnv:
-    """An environment with one row for every flight of the courses, in their order."""
-    seed = settings["seed"]
-    layout = concatenate([course.layout for course in courses])
-    setup = set_up(settings, size=len(layout), seed=seed, scene=LaidOut(layout))
-    return setup.env(len(layout), compiled=settings["compile"], seed=seed, in_order=True)
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """The configuration that the environment is built from."""
+        asked, trained = self.asked, self.trained
+        settings = {key: asked[key] for key in RUN}
+        settings |= {group: asked.get(group) or trained.get(group, {}) for group in POLICYS}
+        settings["env"] = {**trained["env"], **(asked.get("env") or {})}  # numbers, each for itself
+        rules = trained if self.own_routes else asked
+        settings |= {group: rules[group] for group in SCENES}
+        settings |= {group: asked[group] for group in OWN}
+        measuring = {name: asked["sensor"][name] for name in MEASURING if name in asked["sensor"]}
+        settings["sensor"] = {**asked["sensor"], **(trained["sensor"] or {}), **measuring}
+        return settings
+
+    @cached_property
+    def stages(self) -> Stages:
+        """The step and the reset.
+
+        Raises:
+            ConfigError: A name, a number or a combination is wrong.
+        """
+        return build_stages(self.settings)
+
+    @property
+    def arrival_m(self) -> float:
+        """How near to a control point a flight reaches it [m]."""
+        return float(self.settings["task"]["control_points"].get("radius_m", 0.5))
+
+    @property
+    def recorded(self) -> RecordedRun:
+        """How flights are recorded."""
+        settings = self.settings
+        return RecordedRun(
+            settings["recorder"],
+            OmegaConf.to_yaml(OmegaConf.create(settings), resolve=True),
+            seed=settings["seed"],
+            device=str(settings["device"]),
+            overrides=self.overrides,
+            allowed=settings["allowed_targets"],
+        )
+
+    def env(self, courses: Sequence[Course]) -> QuadrotorEnv:
+        """An environment with one row for every flight of the courses, in their order."""
+        run = self.settings
+        layout = concatenate([course.layout for course in courses])
+        setup = among(layout, self.stages, run["device"])
+        return setup.env(len(layout), compiled=run["compile"], seed=run["seed"], in_order=True)

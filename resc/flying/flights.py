@@ -1,14 +1,12 @@
 """Closed-loop flights: every row of an environment flies exactly one episode."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
-from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 from tqdm import tqdm
@@ -20,7 +18,7 @@ from resc.errors import ConfigError
 from resc.flying.flight_log import FlightLog
 from resc.flying.loop import flown
 from resc.flying.pilot import Pilot
-from resc.recording.rollouts import open_recorder
+from resc.recording.rollouts import RecordedRun
 from resc.recording.writer import RolloutRecorder
 
 
@@ -151,35 +149,26 @@ def fly(
 def fly_recorded(
     env: QuadrotorEnv,
     pilot: Pilot,
-    config: Mapping[str, Any],
+    recorded: RecordedRun,
     directory: Path,
-    overrides: Sequence[str] = (),
     *,
     trace: bool = True,
 ) -> Flights:
-    """`fly` with the recorder of a configuration.
+    """`fly`, recorded.
 
     Args:
         env: What is flown.
         pilot: What flies.
-        config: What the environment was built from; stored with the recording.
+        recorded: How; its configuration is what the environment was built from.
         directory: Where the recording goes.
-        overrides: Of the command, for the recording.
         trace: Whether positions and velocities are kept.
 
     Raises:
         RescError: The pilot cannot fly this environment.
     """
     pilot.check(env.stages)
-    recorder = open_recorder(
-        OmegaConf.create(dict(config)),
-        env.stages,
-        directory=directory,
-        outcomes=env.stages.outcomes,
-        num_envs=env.num_envs,
-        facts={"pilot": pilot.name, **pilot.facts()},
-        overrides=overrides,
-    )
+    facts = {"pilot": pilot.name, **pilot.facts()}
+    recorder = recorded.open(env.stages, directory=directory, num_envs=env.num_envs, facts=facts)
     try:
         return fly(env, pilot, trace=trace, recorder=recorder)
     finally:

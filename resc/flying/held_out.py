@@ -3,7 +3,6 @@
 import csv
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -42,19 +41,6 @@ def tabulate_episodes(flights: Flights, pool: ScenePool) -> Episodes:
         "time_s": flights.steps.double().numpy() * flights.dt_s,
         **{name: values.double().numpy() for name, values in flights.metrics.items()},
     }
-
-
-def held_out_rules(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The configuration that held-out episodes are flown with: groups of `held_out` come first.
-
-    Raises:
-        ConfigError: `held_out` holds no groups.
-    """
-    rules = {str(key): value for key, value in config.items()}
-    own = rules.get("held_out") or {}
-    if not isinstance(own, Mapping):
-        raise ConfigError(f"held_out is {own!r}; expected groups of a configuration.")
-    return rules | {str(key): value for key, value in own.items()}
 
 
 def density_near_route(pool: ScenePool) -> Float[Tensor, " p"]:

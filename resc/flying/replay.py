@@ -5,7 +5,7 @@ On the device and with the versions that recorded it, every number comes out aga
 
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -13,7 +13,6 @@ from typing import Any, cast
 import torch
 from omegaconf import OmegaConf
 from tensordict import TensorDict
-from torch import Tensor
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
@@ -28,9 +27,8 @@ from resc.recording.reader import RolloutLog
 from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import Selection
 from resc.run_folder import finish_run, provenance
-from resc.scenes.laid_out import LaidOut
 from resc.scenes.pool import layout_from
-from resc.setup import set_up
+from resc.setup import among, build_stages
 
 STATE = tuple(column.key for column in STATE_COLUMNS)
 FLAGS = (keys.TERMINATED, keys.TRUNCATED)
@@ -131,7 +129,9 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
     config = recorded_config(log, allowed)
     # A recording may hold only some of the environments; they flew among all.
     count = config.get("num_envs") or log.num_envs
-    env = environment_in(config, {name: a.unsqueeze(0) for name, a in scene.items()}, count)
+    layout = layout_from({name: array.unsqueeze(0) for name, array in scene.items()})
+    setup = among(layout, build_stages(config), config["device"])
+    env = setup.env(count, compiled=config["compile"], in_order=True)
     put_back(env, world)
     listed = log.episodes.row(episode, named=True)
     cut = listed["outcome"] == RENEWED
@@ -158,15 +158,6 @@ def recorded_config(log: RolloutLog | Selection, allowed: Sequence[str] = ()) ->
     if config["device"].startswith("cuda") and not torch.cuda.is_available():
         config["device"] = "cpu"
     return config
-
-
-def environment_in(
-    config: Mapping[str, Any], scenes: Mapping[str, Tensor], num_envs: int
-) -> QuadrotorEnv:
-    """The environment of a configuration, in a pool of recorded scenes `[P, ...]`."""
-    layout = layout_from(scenes)
-    setup = set_up(config, size=len(layout), seed=0, scene=LaidOut(layout))
-    return setup.env(num_envs, compiled=config["compile"], in_order=True)
 
 
 def put_back(env: QuadrotorEnv, world: TensorDict) -> None:

@@ -1,8 +1,8 @@
 """Recorded episodes to learn from: transitions in TorchRL's layout, in a replay buffer."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import torch
 from tensordict import TensorDict
@@ -13,12 +13,15 @@ from tqdm import tqdm
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import Stages
 from resc.errors import RecordingError
 from resc.flying.loop import flown
-from resc.flying.replay import environment_in, recorded_config
+from resc.flying.replay import recorded_config
 from resc.recording.columns import FLAGS, require_columns
 from resc.recording.schema import SAMPLED_ACTION
 from resc.recording.selection import TRAJECTORY, Selection
+from resc.scenes.pool import layout_from
+from resc.setup import among, build_stages
 
 NEEDED = (keys.ACTION, SAMPLED_ACTION.key, *(flag.key for flag in FLAGS))
 """Columns that a dataset is made of."""
@@ -30,7 +33,7 @@ def replay_buffer(
     episodes: Selection,
     *,
     batch_size: int,
-    config: Mapping[str, Any] | None = None,
+    stages: Stages | None = None,
     scratch_dir: Path | None = None,
 ) -> TensorDictReplayBuffer:
     """A buffer of all transitions of recorded episodes, for TorchRL's losses.
@@ -38,10 +41,10 @@ def replay_buffer(
     Args:
         episodes: `RolloutLog(...).where(...)`.
         batch_size: Of `sample()`.
-        config: See `transitions`.
+        stages: See `transitions`.
         scratch_dir: Where to keep the transitions; in memory if None.
     """
-    data = transitions(episodes, config=config)
+    data = transitions(episodes, stages=stages)
     storage = (
         LazyTensorStorage(len(data))
         if scratch_dir is None
@@ -52,38 +55,40 @@ def replay_buffer(
     return buffer
 
 
-def transitions(episodes: Selection, *, config: Mapping[str, Any] | None = None) -> TensorDict:
+def transitions(episodes: Selection, *, stages: Stages | None = None) -> TensorDict:
     """The steps of recorded episodes one after the other `[S]`, as TorchRL lays them out.
 
     `observation`, `action`, `("collector", "traj_ids")` (the episode's `index`) and, under `next`,
     `observation`, `reward`, `terminated`, `truncated`, `done`. `action` is what was flown, in
     [-1, 1]. Observations are not recorded: the episodes are flown again, from their sampled
-    actions. So `config` may name others, and other rewards, than those recorded; ends are the
+    actions. So `stages` may have others, and other rewards, than the recording; ends are the
     recorded ones. Noise and dropouts of observations are drawn again.
 
     Args:
         episodes: `RolloutLog(...).where(...)`.
-        config: Of the environment that observes; that of the recording if None.
+        stages: The step that observes, as in `resc.make_env(...).stages`; that of the recording if
+            None.
 
     Raises:
         RecordingError: Not all steps, or not the start, of an episode are recorded.
-        ConfigError: The configuration builds no environment.
+        ConfigError: The recorded configuration builds no environment today.
     """
-    if config is None:
-        config = recorded_config(episodes)
     if len(episodes) == 0:
         raise RecordingError("No episode is left to learn from; loosen the condition of where().")
     # Of similar length: a batch flies as long as its longest episode.
     order = episodes.episodes["length"].arg_sort().to_list()
+    require_columns(next(iter(episodes.take(order[:1]))), NEEDED, "a dataset")
+    config = recorded_config(episodes)
+    stages = stages or build_stages(config)
     parts: dict[int, TensorDict] = {}
     with tqdm(total=len(order), unit="episode", disable=None, leave=False) as bar:
         for start in range(0, len(order), ROWS):
             rows = order[start : start + ROWS]
             some = episodes.take(rows)
             recorded = list(some)
-            require_columns(recorded[0], NEEDED, "a dataset")
             # Uncompiled: a batch of another size, flown once, is not worth compiling for.
-            env = environment_in({**config, "compile": False}, some.scenes(), len(some))
+            setup = among(layout_from(some.scenes()), stages, config["device"])
+            env = setup.env(len(some), compiled=False, in_order=True)
             parts |= zip(rows, _flown(some, recorded, env), strict=True)
             bar.update(len(rows))
     return cast(TensorDict, torch.cat([parts[row] for row in range(len(order))]))

@@ -3,7 +3,7 @@
 import math
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -12,26 +12,22 @@ from types import FrameType
 from typing import Any, cast
 
 import torch
-from omegaconf import DictConfig
 from torch import Tensor
 from tqdm import tqdm
 
-from resc.build import build
 from resc.errors import CheckpointError, RecordingError, RescError
-from resc.flying.episodes import RENEWED
 from resc.learning.checkpoint import save_checkpoint
 from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
 from resc.learning.trainer import Trainer
-from resc.policies.stored import save_policy
+from resc.learning.training_run import TrainingRun
 from resc.recording.rollouts import (
-    open_recorder,
     record_world,
     start_arrays,
     with_flown,
     with_success,
 )
 from resc.recording.writer import RolloutRecorder
-from resc.run_folder import CHECKPOINT, PROGRESS, ROLLOUTS, finish_run
+from resc.run_folder import CHECKPOINT, PROGRESS, finish_run
 
 
 @dataclass
@@ -65,36 +61,24 @@ def stopping_at_batch_end() -> Iterator[Interruption]:
             signal.signal(number, handler)
 
 
-def train_and_save(
-    trainer: Trainer, config: DictConfig, folder: Path, overrides: Sequence[str]
-) -> dict[str, Any]:
+def train_and_save(trainer: Trainer, run: TrainingRun, folder: Path) -> dict[str, Any]:
     """Trains until the budget is spent or a signal comes, saves; returns frames and seconds.
 
     The summary counts all processes that trained the run, and, under `process`, this one alone.
     """
-    recorder = open_recorder(
-        config,
-        trainer.env.stages,
-        directory=folder / ROLLOUTS,
-        outcomes=(*trainer.env.stages.outcomes, RENEWED),
-        num_envs=config["num_envs"],
-        policy=trainer.policy,
-        overrides=overrides,
-    )
-    allowed = config["allowed_targets"]
-    logger = build(config["logger"], "logger", allowed=allowed, folder=folder)
-    save = partial(save_policy, folder, trainer.algorithm.networks, trainer.env.stages, config)
+    recorder, logger = run.recorder(trainer, folder), run.logger(folder)
+    save = partial(run.save_policy, folder, trainer.algorithm, trainer.env.stages)
     table = ProgressTable(folder / PROGRESS, trainer.frames)
     frames, trained_s = trainer.frames, trainer.trained_s
     try:
         train(
             trainer,
             folder,
-            total_frames=config["total_frames"],
+            total_frames=run.config["total_frames"],
             recorder=recorder,
             logger=logger,
             table=table,
-            checkpoint_every_s=config["checkpoint_every_s"],
+            checkpoint_every_s=run.config["checkpoint_every_s"],
         )
     except Exception as error:
         _keep_policy(trainer, save, folder, error)

@@ -104,10 +104,11 @@ def require_same_layout(trained: Sequence[tuple[str, int]], stages: Stages) -> N
             )
 
 
-def save_policy(folder: Path, networks: nn.ModuleDict, stages: Stages, config: DictConfig) -> None:
-    """Writes policy.pt (weights and layout) and config.yaml into a folder.
+def save_policy(folder: Path, networks: nn.ModuleDict, stages: Stages, made_with: str) -> None:
+    """Writes policy.pt (weights and layout) into a folder, for the config.yaml of its run there.
 
-    `networks` are an algorithm's: `policy`, and whatever else it needs.
+    `networks` are an algorithm's: `policy`, and whatever else it needs. `made_with` is the
+    fingerprint of the configuration.
     """
     folder.mkdir(parents=True, exist_ok=True)
     head = type(cast(Policy, networks["policy"]).head)
@@ -116,10 +117,9 @@ def save_policy(folder: Path, networks: nn.ModuleDict, stages: Stages, config: D
         "head": f"{head.__module__}.{head.__qualname__}",
         "layout": [list(block) for block in layout_of(stages)],
         "action_width": stages.terms.action.width,
-        "made_with": fingerprint(config),
+        "made_with": made_with,
     }
     write_atomically(folder / POLICY, content)
-    OmegaConf.save(config, folder / CONFIG, resolve=True)
 
 
 def policy_folder(text: str, setting: str) -> Path:

@@ -2,10 +2,11 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
 
@@ -24,41 +25,59 @@ def rollout_columns(stages: Stages) -> tuple[Column, ...]:
     return usual_columns(tuple(term.name for term in stages.terms.rewards))
 
 
-def open_recorder(
-    config: DictConfig,
-    stages: Stages,
-    *,
-    directory: Path,
-    outcomes: tuple[str, ...],
-    num_envs: int,
-    policy: nn.Module | None = None,
-    facts: Mapping[str, str] | None = None,
-    overrides: Sequence[str] = (),
-) -> RolloutRecorder | None:
-    """A run's recorder with metadata and configuration attached; None where recorder=none.
+@dataclass(frozen=True)
+class RecordedRun:
+    """How a run is recorded, and what its recordings say of it.
 
-    The metadata name the `policy` that flies first by its digest, or the `facts` of another pilot,
-    and the command's `overrides`.
+    Args:
+        recorder: Node of the group; empty where nothing is recorded.
+        config_yaml: The configuration, which is attached to every file.
+        seed: Of the run.
+        device: Of the run.
+        overrides: Of the command.
+        allowed: Prefixes of classes outside RESC that the node may name.
     """
-    if not config.get("recorder"):
-        return None
-    metadata = {**(facts or {}), **provenance()}
-    metadata |= {"seed": str(config["seed"]), "device": str(config["device"])}
-    metadata |= {"overrides": " ".join(overrides)}
-    if policy is not None:
-        metadata["policy_sha256"] = digest(policy)
-    return build(
-        config["recorder"],
-        "recorder",
-        allowed=config["allowed_targets"],
-        directory=directory,
-        columns=rollout_columns(stages),
-        dt_s=float(config["env"]["dt_s"]),
-        num_envs=num_envs,
-        metadata=metadata,
-        attachments={"config.yaml": OmegaConf.to_yaml(config, resolve=True).encode()},
-        outcomes=outcomes,
-    )
+
+    recorder: Mapping[str, Any] | None
+    config_yaml: str
+    seed: int
+    device: str
+    overrides: Sequence[str] = ()
+    allowed: Sequence[str] = ()
+
+    def open(
+        self,
+        stages: Stages,
+        *,
+        directory: Path,
+        num_envs: int,
+        outcomes: tuple[str, ...] | None = None,
+        facts: Mapping[str, str] | None = None,
+    ) -> RolloutRecorder | None:
+        """A recorder with metadata and configuration attached; None where nothing is recorded.
+
+        Args:
+            stages: The step that is recorded.
+            directory: Where its files go.
+            num_envs: Rows of every batch.
+            outcomes: How an episode can end; as the stages say by default.
+            facts: Of what flies, such as the digest of a policy.
+        """
+        if not self.recorder:
+            return None
+        own = {"seed": str(self.seed), "device": self.device, "overrides": " ".join(self.overrides)}
+        return build(
+            self.recorder,
+            "recorder",
+            allowed=self.allowed,
+            directory=directory,
+            columns=rollout_columns(stages),
+            dt_s=stages.context.dt_s,
+            num_envs=num_envs,
+            metadata={**(facts or {}), **provenance(), **own},
+            attachments={"config.yaml": self.config_yaml.encode()},
+            outcomes=outcomes or stages.outcomes,
+        )
 
 
 def record_world(

@@ -1,7 +1,7 @@
 """What the run at hand is composed from: its files, its suites, its scenes."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any, cast
 
@@ -51,7 +51,7 @@ def suites() -> dict[str, list[str]]:
     return {path.rpartition("/")[2]: [str(name) for name in content] for path, _, content in found}
 
 
-def compose_scenes(names: Sequence[str], numbers: DictConfig) -> dict[str, dict[str, Any]]:
+def compose_scenes(names: Sequence[str], numbers: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The scenes of these names with the numbers given in place of their own.
 
     Raises:

@@ -75,15 +75,20 @@ def launch(main: Callable[[], None], config_name: str) -> None:
             raise ConfigError(f"{error}; leave out what does not belong.") from None
 
 
-def launch_here(main: Callable[[DictConfig, Path], None], config_name: str) -> None:
-    """`launch` for a module of the package: `main` gets the configuration and the run's folder."""
+def launch_here(
+    command: Callable[[DictConfig, Path], Callable[[], None]], config_name: str
+) -> None:
+    """`launch` for a module of the package.
+
+    `command` makes what is run from the configuration and the run's folder.
+    """
 
     @hydra_main(version_base="1.3", config_path=str(CONF), config_name=config_name)
     def run(config: DictConfig) -> None:
         folder = Path(HydraConfig.get().runtime.output_dir)
         with answering(), claimed(folder):
             refuse_doubles()
-            main(config, folder)
+            command(config, folder)()
 
     launch(run, config_name)
 

@@ -11,6 +11,7 @@ settings and references, is not flown again. The report is in <sweep>/report.
 import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,9 +21,8 @@ from resc import schema
 from resc.command_line import override
 from resc.console import logged
 from resc.errors import ConfigError
-from resc.evaluation.campaign import evaluate, fingerprint
+from resc.evaluation.campaign import Evaluation
 from resc.evaluation.suites import amounts_of, scenes_to_fly
-from resc.flying.pilot import PolicyPilot
 from resc.policies.stored import load_policy
 from resc.process import prepare_process
 from resc.run_folder import LATEST, latest, summary_of
@@ -30,7 +30,7 @@ from resc.settings import check_settings
 from resc.starting.composed import compose_scenes, given, suites
 from resc.starting.launch import answering, launch_here
 from resc.studies.score_report import Score, read_score, write_scores
-from resc.studies.study import Run, Sweep, read_sweep
+from resc.studies.study import Sweep, read_sweep
 
 SCORES, REPORT = "scores", "report"
 SINGLE = "scenes"
@@ -43,37 +43,48 @@ Settings = dict[str, Any]
 Flown = tuple[str, Settings, Mapping[str, Settings]]
 
 
-def main(config: DictConfig, folder: Path) -> None:
-    """Flies what is not there yet, and writes the report into the folder."""
-    check_settings(config, schema.EvaluateSchema)
-    OmegaConf.resolve(config)
-    prepare_process(config["threads"], config["device"])
-    sweep = read_sweep(Path(config["policy"]))
-    chosen = list(evaluations(config))
-    with logged(folder / "scores.log"):
-        scores = [score for score in fly_sweep(sweep, chosen, given())]
-        print(write_scores(sweep, scores, folder))
+@dataclass(frozen=True)
+class Scoring:
+    """The runs of a sweep, flown through suites.
 
+    Args:
+        config: Of an evaluation whose policy is the sweep's folder.
+        folder: Where the report goes.
+    """
 
-def evaluations(config: DictConfig) -> Iterator[Flown]:
-    """Each suite of a configuration: its name, its settings and its scenes."""
-    names = scenes_to_fly(config["scenes"], config["suite"], given())
-    scenes = compose_scenes(names, config["scene"])
-    settings = cast(Settings, OmegaConf.to_container(config, resolve=True))
-    often = {name: settings[name] for name in ("maps", "flights")}
-    if settings["scenes"] is not None:
-        yield SINGLE, settings, scenes
-        return
-    amounts = amounts_of(scenes, settings["suite"], **often)
-    named = suites()
-    rest = [name for name in scenes if not any(name in own for own in named.values())]
-    for suite, own in {**named, **({SINGLE: rest} if rest else {})}.items():
-        there = [name for name in own if name in scenes]
-        of_suite = {name: settings["suite"][name] for name in there}
-        draws = any(amounts[name].maps for name in there)
-        maps = settings["maps"] if draws else None  # of a suite of fixed maps it would be refused
-        own_settings = {**settings, "suite": of_suite, "maps": maps}
-        yield suite, own_settings, {name: scenes[name] for name in there}
+    config: DictConfig
+    folder: Path
+
+    def __call__(self) -> None:
+        """Flies what is not there yet, and writes the report."""
+        check_settings(self.config, schema.EvaluateSchema)
+        OmegaConf.resolve(self.config)
+        prepare_process(self.config["threads"], self.config["device"])
+        sweep = read_sweep(Path(self.config["policy"]))
+        chosen = list(self.evaluations())
+        with logged(self.folder / "scores.log"):
+            scores = list(fly_sweep(sweep, chosen, given()))
+            print(write_scores(sweep, scores, self.folder))
+
+    def evaluations(self) -> Iterator[Flown]:
+        """Each suite: its name, its settings and its scenes."""
+        names = scenes_to_fly(self.config["scenes"], self.config["suite"], given())
+        scenes = compose_scenes(names, self.config["scene"])
+        settings = cast(Settings, OmegaConf.to_container(self.config, resolve=True))
+        often = {name: settings[name] for name in ("maps", "flights")}
+        if settings["scenes"] is not None:
+            yield SINGLE, settings, scenes
+            return
+        amounts = amounts_of(scenes, settings["suite"], **often)
+        named = suites()
+        rest = [name for name in scenes if not any(name in own for own in named.values())]
+        for suite, own in {**named, **({SINGLE: rest} if rest else {})}.items():
+            there = [name for name in own if name in scenes]
+            of_suite = {name: settings["suite"][name] for name in there}
+            draws = any(amounts[name].maps for name in there)
+            maps = settings["maps"] if draws else None  # of a suite of fixed maps it is refused
+            own_settings = {**settings, "suite": of_suite, "maps": maps}
+            yield suite, own_settings, {name: scenes[name] for name in there}
 
 
 def fly_sweep(sweep: Sweep, chosen: Sequence[Flown], overrides: Sequence[str]) -> Iterator[Score]:
@@ -83,7 +94,9 @@ def fly_sweep(sweep: Sweep, chosen: Sequence[Flown], overrides: Sequence[str]) -
     for number, run in enumerate(runs):
         for place, (suite, settings, scenes) in enumerate(chosen, start=1):
             folder = sweep.folder / str(run.number) / SCORES / suite
-            there = _fly(folder, run, sweep, settings, scenes, overrides)
+            own = {**settings, "policy": str(sweep.folder / str(run.number))}
+            policy = load_policy(Path(own["policy"]), own["device"], own["allowed_targets"])
+            there = _fly(Evaluation(own, policy, scenes, overrides), folder)
             score = read_score(folder, run, suite)
             told = "was there already" if there else f"{score.flights} flights"
             done = f"{number * len(chosen) + place} of {total}"
@@ -94,22 +107,13 @@ def fly_sweep(sweep: Sweep, chosen: Sequence[Flown], overrides: Sequence[str]) -
             yield score
 
 
-def _fly(
-    folder: Path,
-    run: Run,
-    sweep: Sweep,
-    settings: Settings,
-    scenes: Mapping[str, Settings],
-    overrides: Sequence[str],
-) -> bool:
-    """Evaluates a run into the folder; whether that was done before."""
-    own = {**settings, "policy": str(sweep.folder / str(run.number))}
-    policy = load_policy(Path(own["policy"]), own["device"], own["allowed_targets"])
-    if summary_of(folder).get("fingerprint") == fingerprint(own, scenes, [PolicyPilot(policy)]):
+def _fly(evaluation: Evaluation, folder: Path) -> bool:
+    """Flies an evaluation into the folder; whether that was done before."""
+    if summary_of(folder).get("fingerprint") == evaluation.fingerprint:
         return True
     if folder.exists():  # of other settings, or cut short
         shutil.rmtree(folder)
-    evaluate(own, policy, scenes, folder, overrides)
+    evaluation.fly(folder)
     return False
 
 
@@ -143,4 +147,4 @@ if __name__ == "__main__":
     with answering():
         sys.argv[1:] = as_evaluation(sys.argv[1:])
     schema.register()
-    launch_here(main, "evaluate")
+    launch_here(Scoring, "evaluate")

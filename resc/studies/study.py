@@ -13,8 +13,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc.build import load_config
 from resc.errors import ConfigError
-from resc.flying.held_out import Episodes, held_out_rules, read_episodes
+from resc.flying.held_out import Episodes, read_episodes
 from resc.groups import names
+from resc.learning.training_run import TrainingRun
 from resc.run_folder import (
     CONFIG,
     EPISODES,
@@ -283,7 +284,7 @@ def _same_scenes(one: Run, other: Run) -> bool:
 
 def _task_of(folder: Path) -> dict[str, Any]:
     """What a run's held-out episodes are, as plain data."""
-    rules: Mapping[str, Any] = held_out_rules(load_config(folder / CONFIG))
+    rules: Mapping[str, Any] = TrainingRun(load_config(folder / CONFIG)).held_out
     task = {name: _plain(rules.get(name)) for name in TASK}
     env = task["env"]
     if not isinstance(env, dict):

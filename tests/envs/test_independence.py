@@ -8,7 +8,7 @@ randomisations, sensor noise, exploration, the order of minibatches.
 import pytest
 import torch
 
-from resc.learning.assemble import build_trainer
+from resc.learning.training_run import TrainingRun
 
 DRAWING = [
     "num_envs=4",
@@ -77,7 +77,7 @@ def states(compose):
     """`states(*overrides)`: the states of all generators when built and after one batch."""
 
     def flown(*overrides):
-        trainer = build_trainer(compose(*DRAWING, *overrides))
+        trainer = TrainingRun(compose(*DRAWING, *overrides)).trainer()
         seen = []
         for _ in range(2):
             states = {name: g.get_state() for name, g in trainer.env.generators.items()}

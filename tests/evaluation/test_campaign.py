@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from omegaconf import OmegaConf
 
 from resc.errors import CheckpointError, ConfigError
-from resc.evaluation.campaign import evaluate
+from resc.evaluation.campaign import Evaluation
 from resc.evaluation.courses import drawn
 from resc.evaluation.references import Reference, crossings, keep, limits_of
 from resc.evaluation.suites import Amount
@@ -53,7 +53,7 @@ def run(evaluation, policy, tmp_path_factory):
     flight = Trajectory(0.5, np.linspace([1.0, 2.2, 1.0], [3.0, 2.2, 1.0], 9) ** 1.5)
     crossing = crossings(one.layout, one.nominal_w, limits_of(config["limits"]))[0]
     keep(Reference("corridor", crossing, 2.0, flight, flight), stored)
-    return folder, evaluate(config, policy, SCENES, folder, ["flights=2", "seed=4"])
+    return folder, Evaluation(config, policy, SCENES, ["flights=2", "seed=4"]).fly(folder)
 
 
 def test_summary_counts_frames_and_scenes(run):
@@ -149,20 +149,22 @@ def test_scene_is_that_of_the_flight_it_names(run):
 @pytest.mark.slow
 def test_flights_recorded_in_part_leave_a_sentence_in_place_of_scenes(evaluation, policy, tmp_path):
     config = evaluation("flights=1", "recorder=mcap", "recorder.every_n_batches=2")
-    text = evaluate(config, policy, {"corridor": SCENES["corridor"]}, tmp_path)
+    text = Evaluation(config, policy, {"corridor": SCENES["corridor"]}).fly(tmp_path)
     assert text.splitlines()[-1].startswith("No (more) 3-D scenes: Of 1 of these 1 episodes")
     assert (tmp_path / "summary.json").exists()
 
 
 def test_without_recorder_there_are_no_scenes(evaluation, policy, tmp_path):
-    text = evaluate(evaluation("flights=1"), policy, {"corridor": SCENES["corridor"]}, tmp_path)
+    text = Evaluation(evaluation("flights=1"), policy, {"corridor": SCENES["corridor"]}).fly(
+        tmp_path
+    )
     assert not (tmp_path / "scenes").exists()
     assert "scenes" not in text.splitlines()[-1]
 
 
 def test_negative_number_of_scenes_is_refused(evaluation, policy, tmp_path):
     with pytest.raises(ConfigError, match="scene_files is -1; expected 0 or more"):
-        evaluate(evaluation("scene_files=-1"), policy, SCENES, tmp_path)
+        Evaluation(evaluation("scene_files=-1"), policy, SCENES).fly(tmp_path)
 
 
 def test_run_stores_its_configuration_and_is_the_latest(run):
@@ -174,7 +176,7 @@ def test_run_stores_its_configuration_and_is_the_latest(run):
 def test_refused_policy_leaves_no_summary(evaluation, policy, stored, tmp_path):
     wrong = StoredPolicy(policy.policy, (("compass", 2), *policy.layout[1:]), stored)
     with pytest.raises(CheckpointError, match="compass"):
-        evaluate(evaluation("flights=1"), wrong, SCENES, tmp_path)
+        Evaluation(evaluation("flights=1"), wrong, SCENES).fly(tmp_path)
     assert not (tmp_path / "summary.json").exists()
 
 
@@ -192,7 +194,7 @@ FOREST = {
 
 def test_suite_counts_its_maps_and_draws_the_worst(evaluation, policy, tmp_path):
     config = evaluation("+suite.grove={maps: 3, flights: 2}", "policy=somewhere", "scene_files=0")
-    text = evaluate(config, policy, {"grove": FOREST}, tmp_path)
+    text = Evaluation(config, policy, {"grove": FOREST}).fly(tmp_path)
     with (tmp_path / "flights.csv").open() as file:
         flights = list(csv.DictReader(file))
     assert [row["map"] for row in flights] == ["0", "0", "1", "1", "2", "2"]
@@ -210,7 +212,7 @@ def together(evaluation, policy, tmp_path_factory):
     folder = tmp_path_factory.mktemp("together")
     pilots = [PolicyPilot(policy), Pursuit(speed_mps=1.5).named("pursuit")]
     config = evaluation("flights=2", "recorder=mcap", "scene_files=0")
-    return folder, evaluate(config, policy, SCENES, folder, pilots=pilots)
+    return folder, Evaluation(config, policy, SCENES, given_pilots=pilots).fly(folder)
 
 
 def test_table_of_two_pilots_has_a_row_for_each_and_every_scene(together):
@@ -259,5 +261,5 @@ def test_pilot_that_cannot_fly_is_refused_before_anything_is_planned(evaluation,
 
     scenes = {"nowhere": {"_target_": "resc.scenes.nowhere.Nowhere"}}
     with pytest.raises(ConfigError, match="needs eyes"):
-        evaluate(evaluation(), policy, scenes, tmp_path / "out", pilots=[Blind()])
+        Evaluation(evaluation(), policy, scenes, given_pilots=[Blind()]).fly(tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -8,13 +8,14 @@ from omegaconf import OmegaConf
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.evaluation.campaign import evaluate
-from resc.evaluation.commanded import commanded, commanded_scenes, dial_of
+from resc.evaluation.campaign import Evaluation
+from resc.evaluation.commanded import commanded_scenes, dial_of
 from resc.evaluation.courses import lay_out
 from resc.evaluation.references import limits_of
-from resc.evaluation.setting import build_flying_env, settings_for
+from resc.evaluation.setting import Rules
 from resc.flying.replay import fly_again
 from resc.planning.route import planner_for
+from resc.policies.stored import StoredPolicy
 from resc.recording.reader import RolloutLog
 from resc.viewing.plot import inflation_m
 
@@ -52,9 +53,10 @@ def own_dial(stored):
     return dial_of(stored.get("randomization"), stored.get("observation"))
 
 
-def asked(evaluation, stored, *overrides):
+def asked(evaluation, stored, policy, *overrides):
     config = evaluation(*overrides)
-    return commanded(config, stored, own_dial(stored), limits_of(config["limits"]), overrides)
+    policy = StoredPolicy(policy.policy, policy.layout, OmegaConf.create(stored))
+    return Evaluation(config, policy, {}, overrides).asked
 
 
 def test_a_dial_is_what_is_drawn_and_seen(with_dial, stored):
@@ -66,26 +68,30 @@ def test_a_dial_is_what_is_drawn_and_seen(with_dial, stored):
     assert own_dial(stored) is None
 
 
-def test_limits_fix_the_draws_the_count_and_the_search(evaluation, with_dial):
-    config = asked(evaluation, with_dial, *ASKED)
+def test_limits_fix_the_draws_the_count_and_the_search(evaluation, with_dial, policy):
+    config = asked(evaluation, with_dial, policy, *ASKED)
     assert config["randomization"]["speed_limit"]["speed_mps"] == [2.0, 2.0]
     assert config["randomization"]["margin"]["margin_m"] == [0.4, 0.4]
     assert config["sensor"]["limit_violations"]["speed_mps"] == 2.0
     assert config["search"]["clearance_m"] == 0.5
-    assert asked(evaluation, with_dial, "limits.margin_m=0.2")["search"]["clearance_m"] == 0.3
+    assert (
+        asked(evaluation, with_dial, policy, "limits.margin_m=0.2")["search"]["clearance_m"] == 0.3
+    )
 
 
-def test_the_speed_that_is_counted_turns_the_dial_as_the_bound_follows_it(evaluation, with_dial):
-    config = asked(evaluation, with_dial, "sensor.limit_violations.speed_mps=2.5")
+def test_the_speed_that_is_counted_turns_the_dial_as_the_bound_follows_it(
+    evaluation, with_dial, policy
+):
+    config = asked(evaluation, with_dial, policy, "sensor.limit_violations.speed_mps=2.5")
     assert config["randomization"]["speed_limit"]["speed_mps"] == [2.5, 2.5]
 
 
-def test_a_clearance_that_is_given_stays(evaluation, with_dial):
-    config = asked(evaluation, with_dial, *ASKED, "search.clearance_m=0.45")
+def test_a_clearance_that_is_given_stays(evaluation, with_dial, policy):
+    config = asked(evaluation, with_dial, policy, *ASKED, "search.clearance_m=0.45")
     assert config["search"]["clearance_m"] == 0.45
 
 
-def test_scenes_that_plan_their_own_routes_keep_the_margin_too(evaluation, with_dial):
+def test_scenes_that_plan_their_own_routes_keep_the_margin_too(evaluation, with_dial, policy):
     config = evaluation(*ASKED)
     scenes = {"planned": {"clearance_m": [0.35, 0.5]}, "named": {}}
     limits = limits_of(config["limits"])
@@ -103,9 +109,11 @@ def test_scenes_that_plan_their_own_routes_keep_the_margin_too(evaluation, with_
         ("limits.margin_m=0.1", "limits.margin_m is 0.1, but the policy was trained from 0.15 to"),
     ],
 )
-def test_settings_outside_of_what_was_trained_are_refused(evaluation, with_dial, override, told):
+def test_settings_outside_of_what_was_trained_are_refused(
+    evaluation, with_dial, policy, override, told
+):
     with pytest.raises(ConfigError, match=told):
-        asked(evaluation, with_dial, override)
+        asked(evaluation, with_dial, policy, override)
 
 
 @pytest.mark.parametrize(
@@ -115,23 +123,23 @@ def test_settings_outside_of_what_was_trained_are_refused(evaluation, with_dial,
         ("limits.margin_m=0.2", "limits.margin_m is 0.2, .* it was trained with 0.3; leave it out"),
     ],
 )
-def test_a_policy_without_the_dial_is_asked_nothing(evaluation, stored, override, told):
+def test_a_policy_without_the_dial_is_asked_nothing(evaluation, stored, policy, override, told):
     with pytest.raises(ConfigError, match=told):
-        asked(evaluation, stored, override)
+        asked(evaluation, stored, policy, override)
 
 
 @pytest.mark.parametrize(
     "override", ["flights=3", "sensor.limit_violations.speed_mps=2.0", "limits.jerk_mps3=30.0"]
 )
-def test_without_the_dial_nothing_changes(evaluation, stored, override):
-    assert asked(evaluation, stored, override) == evaluation(override)
+def test_without_the_dial_nothing_changes(evaluation, stored, policy, override):
+    assert asked(evaluation, stored, policy, override) == evaluation(override)
 
 
-def test_every_flight_has_the_limits_that_are_asked(evaluation, with_dial):
-    config = asked(evaluation, with_dial, *ASKED)
+def test_every_flight_has_the_limits_that_are_asked(evaluation, with_dial, policy):
+    config = asked(evaluation, with_dial, policy, *ASKED)
     nodes = {name: with_dial[name] for name in ("search", "task", "env")}
     courses = lay_out({"corridor": CORRIDOR}, 2, seed=0, planner=planner_for(**nodes))
-    env = build_flying_env(courses, settings_for(config, with_dial, own_routes=False))
+    env = Rules(config, with_dial, own_routes=False).env(courses)
     env.restart(torch.arange(2))
     assert env.value_of(keys.SPEED_LIMIT)[:, 0].tolist() == [2.0, 2.0]
     assert torch.equal(env.value_of(keys.MARGIN), torch.full((2, 1), 0.4))
@@ -146,7 +154,7 @@ def flown(evaluation, dial_policy, tmp_path_factory):
     config = evaluation("recorder=mcap", "policy=somewhere", short, *overrides)
     planned = {"planned": evaluation("+scene=planned")["scene"]}
     scenes = {"corridor": CORRIDOR, **planned}
-    return folder, evaluate(config, dial_policy, scenes, folder, overrides)
+    return folder, Evaluation(config, dial_policy, scenes, overrides).fly(folder)
 
 
 def test_the_report_counts_by_the_limits_that_are_asked(flown):

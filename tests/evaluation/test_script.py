@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from resc.learning.assemble import build_algorithm
-from resc.policies.stored import save_policy
+from resc.learning.training_run import TrainingRun
 from resc.setup import build_stages
 
 ROOT = Path(__file__).parents[2]
@@ -19,9 +18,9 @@ ROOT = Path(__file__).parents[2]
 def untrained(stored, tmp_path_factory):
     """The folder of a policy that has learned nothing."""
     stages = build_stages(stored)
-    networks = build_algorithm(stored, stages).networks
+    networks = TrainingRun(stored).algorithm(stages)
     folder = tmp_path_factory.mktemp("policy")
-    save_policy(folder, networks, stages, stored)
+    TrainingRun(stored).save_policy(folder, networks, stages)
     return folder
 
 

@@ -6,7 +6,7 @@ import torch
 from resc import keys
 from resc.errors import CheckpointError
 from resc.evaluation.courses import lay_out
-from resc.evaluation.setting import build_flying_env, settings_for
+from resc.evaluation.setting import Rules
 from resc.policies.stored import StoredPolicy
 
 FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
@@ -15,7 +15,7 @@ FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
 def test_vehicle_and_observation_are_the_policys(evaluation, stored):
     altered = stored.copy()
     altered["vehicle"]["mass_kg"] = 2.5
-    rules = settings_for(evaluation(), altered, own_routes=False)
+    rules = Rules(evaluation(), altered, own_routes=False).settings
     assert rules["vehicle"]["mass_kg"] == 2.5
     assert rules["observation"] == altered["observation"]
     assert rules["task"]["initial_state"]["speed_mps"] == 0.0
@@ -24,7 +24,7 @@ def test_vehicle_and_observation_are_the_policys(evaluation, stored):
 
 
 def test_scenes_with_routes_keep_the_rules_of_the_training(evaluation, stored):
-    rules = settings_for(evaluation(), stored, own_routes=True)
+    rules = Rules(evaluation(), stored, own_routes=True).settings
     assert rules["task"] == stored["task"]
     assert rules["termination"] == stored["termination"]
     assert "least_clearance" in rules["metric"]
@@ -34,14 +34,14 @@ def test_limits_are_the_evaluations_and_senses_the_policys(evaluation, stored):
     altered = stored.copy()
     altered["sensor"]["limit_violations"]["speed_mps"] = 9.0
     altered["sensor"]["euler"] = {"_target_": "noisy"}
-    sensors = settings_for(evaluation(), altered, own_routes=False)["sensor"]
+    sensors = Rules(evaluation(), altered, own_routes=False).settings["sensor"]
     assert sensors["limit_violations"]["speed_mps"] == 3.0
     assert sensors["euler"] == {"_target_": "noisy"}
 
 
 def test_part_named_on_the_command_line_replaces_the_policys(evaluation, stored):
     chosen = evaluation("dynamics=lag_and_drag")
-    rules = settings_for(chosen, stored, own_routes=False)
+    rules = Rules(chosen, stored, own_routes=False).settings
     assert rules["dynamics"]["rotor_time_constant_s"] == 0.02
 
 
@@ -70,7 +70,7 @@ def test_maps_of_different_size_fly_together(corridor, flying):
 
 def test_policy_of_another_observation_is_refused(evaluation, stored, policy):
     course = lay_out({"free": FREE}, 1, seed=0, planner=None)[0]
-    env = build_flying_env([course], settings_for(evaluation(), stored, own_routes=True))
+    env = Rules(evaluation(), stored, own_routes=True).env([course])
     wrong = (policy.layout[0], ("compass", 2), *policy.layout[2:])
     with pytest.raises(CheckpointError, match=f"compass .*{policy.layout[1][0]}"):
         StoredPolicy(policy.policy, wrong, stored).require_layout(env.stages)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.evaluation.courses import Course, lay_out
-from resc.evaluation.setting import build_flying_env, settings_for
+from resc.evaluation.setting import Rules
 from resc.planning.route import RoutePlanner, planner_for
 from resc.policies.heads import Gaussian
 from resc.policies.networks import Mlp
@@ -125,7 +125,7 @@ def flying(
     """`flying(courses, *overrides)`: an environment with a row for every flight."""
 
     def env(courses: list[Course], *overrides: str) -> QuadrotorEnv:
-        rules = settings_for(evaluation(*overrides), stored, own_routes=courses[0].own_routes)
-        return build_flying_env(courses, rules)
+        rules = Rules(evaluation(*overrides), stored, own_routes=courses[0].own_routes)
+        return rules.env(courses)
 
     return env

@@ -4,13 +4,14 @@ import re
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages, Terms
 from resc.errors import NumericalError
-from resc.learning.assemble import build_algorithm
 from resc.learning.trainer import Trainer
+from resc.learning.training_run import TrainingRun
 from resc.setup import build_stages, set_up
 from resc.term import Observation, Reward, Termination
 
@@ -65,7 +66,8 @@ def trainer(compose):
             terms[group] = [*terms[group], term.named("mine")]
         env = QuadrotorEnv(Stages(Terms(**terms), stages.context), pool, num_envs=2, compiled=False)
         own = {"algorithm": {**config["algorithm"], "steps": STEPS}, "num_envs": 2}
-        algorithm = build_algorithm({**config, **own, "compile": False}, env.stages)
+        run = TrainingRun(OmegaConf.create({**config, **own, "compile": False}))
+        algorithm = run.algorithm(env.stages)
         return Trainer(env, algorithm)
 
     return make

@@ -2,15 +2,13 @@
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.evaluation.setting import settings_for
+from resc.evaluation.setting import Rules
 from resc.flying.flights import fly
 from resc.flying.pilot import PolicyPilot
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import open_recorder
 
 STEP_M = 2.5 * 0.02
 """More than a flight covers in one step."""
@@ -29,11 +27,8 @@ def flights(corridor, flying, policy, evaluation, stored, folder):
     env = flying([course])
     env.pool.tasks[keys.ROUTE_W][4:, 0] = torch.tensor([4.5, 1.0, 1.0])
     env.pool.tasks[keys.ROUTE_LENGTH][4:] = 1
-    config = settings_for(evaluation("recorder=mcap"), stored, own_routes=False)
-    outcomes = env.stages.outcomes
-    recorder = open_recorder(
-        OmegaConf.create(config), env.stages, directory=folder, outcomes=outcomes, num_envs=6
-    )
+    rules = Rules(evaluation("recorder=mcap"), stored, own_routes=False)
+    recorder = rules.recorded.open(env.stages, directory=folder, num_envs=6)
     with recorder:
         return course, fly(env, PolicyPilot(policy), recorder=recorder)
 

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from resc.errors import ConfigError
 from resc.flying.held_out import (
     density_near_route,
-    held_out_rules,
     read_episodes,
     write_episodes,
 )
+from resc.learning.training_run import TrainingRun
 from resc.scenes.pool import ScenePool
 from resc.setup import scene_of
 
@@ -44,10 +45,12 @@ def test_file_of_fewer_episodes_is_refused(tmp_path):
 
 
 def test_held_out_groups_replace_those_of_training():
-    rules = held_out_rules({"seed": 1, "metric": {}, "held_out": {"metric": {"energy": 1}}})
+    run = {"seed": 1, "metric": {}, "held_out": {"metric": {"energy": 1}}}
+    rules = TrainingRun(OmegaConf.create(run)).held_out
     assert rules["metric"] == {"energy": 1}
     assert rules["seed"] == 1
-    assert held_out_rules({"metric": {}}) == {"metric": {}}  # of a run from before there was one
+    old = {"metric": {}}  # of a run from before there was one
+    assert TrainingRun(OmegaConf.create(old)).held_out["metric"] == {}
 
 
 def test_density_counts_the_cells_within_a_metre_and_a_half_of_the_route(compose):

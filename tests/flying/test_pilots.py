@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 from torch.testing import assert_close
 
 from resc.errors import CheckpointError, ConfigError
-from resc.evaluation.setting import build_flying_env, settings_for
+from resc.evaluation.setting import Rules
 from resc.flying.pilot import FolderPilot, Pilot, build_pilots
 
 ROOT = Path(__file__).parents[2]
@@ -27,7 +27,7 @@ def shipped():
 def env(evaluation, shipped, corridor):
     """Four flights round a wall, as the shipped policy sees them."""
     course = corridor(COUNT)
-    return build_flying_env([course], settings_for(evaluation(), shipped, own_routes=False))
+    return Rules(evaluation(), shipped, own_routes=False).env([course])
 
 
 @pytest.fixture(scope="module", params=NAMES)

@@ -10,18 +10,18 @@ from resc.errors import ConfigError, RecordingError
 from resc.flying.episodes import RENEWED
 from resc.flying.replay import (
     compare,
-    environment_in,
     fly_again,
     parse,
     put_back,
     recorded_config,
     replay,
 )
-from resc.learning.assemble import build_trainer
 from resc.learning.progress import CsvLogger, ProgressTable
 from resc.learning.training import train
+from resc.learning.training_run import TrainingRun
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import open_recorder
+from resc.scenes.pool import layout_from
+from resc.setup import among, build_stages
 
 RUN = (
     "scene=training",
@@ -52,9 +52,8 @@ def recording(request, compose, tmp_path_factory):
     """The folder of a short training run's recording."""
     folder = tmp_path_factory.mktemp("run")
     config = compose(*RUN, *request.param)
-    trainer = build_trainer(config)
-    with open_recorder(
-        config,
+    trainer = TrainingRun(config).trainer()
+    with TrainingRun(config).recorded.open(
         trainer.env.stages,
         directory=folder / "rollouts",
         outcomes=trainer.statistics.outcomes,
@@ -87,7 +86,9 @@ def test_an_episode_recorded_before_there_were_pillars_comes_out_again(recording
     log = RolloutLog(recording)
     old = {n: a.unsqueeze(0) for n, a in log.scene(0).items() if n not in LATER}
     assert len(old) == len(log.scene(0)) - len(LATER)
-    env = environment_in(recorded_config(log), old, 8)
+    config = recorded_config(log)
+    setup = among(layout_from(old), build_stages(config), config["device"])
+    env = setup.env(8, compiled=config["compile"], in_order=True)
     put_back(env, log.start(0))
     row = int(log.episodes["env_id"][0])
     deviations = compare(env, log.episode(0), row, cut=log.episodes["outcome"][0] == RENEWED)

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.evaluation.setting import build_flying_env, settings_for
+from resc.evaluation.setting import Rules
 from resc.flying.pilot import FolderPilot, Pilot
 from resc.flying.switch import Switch
 
@@ -20,15 +20,15 @@ OBSTACLES = Path(__file__).parents[2] / "policies" / "obstacles"
 def env(evaluation, corridor):
     """Three flights round a wall, as the shipped policy sees them."""
     stored = OmegaConf.load(OBSTACLES / "config.yaml")
-    rules = settings_for(evaluation(), stored, own_routes=False)
-    return build_flying_env([corridor(3)], rules)
+    rules = Rules(evaluation(), stored, own_routes=False)
+    return rules.env([corridor(3)])
 
 
 @pytest.mark.parametrize("history", [1, 3])
 def test_own_observation_is_that_of_the_environment(env, history, evaluation, corridor):
     stored = OmegaConf.load(OBSTACLES / "config.yaml")
     stored.env.history = history
-    env = build_flying_env([corridor(3)], settings_for(evaluation(), stored, own_routes=False))
+    env = Rules(evaluation(), stored, own_routes=False).env([corridor(3)])
     pilot = FolderPilot(folder=str(OBSTACLES), own_observation=True)
     pilot.policy.config.env.history = history
     observation = env.restart(torch.arange(3))

@@ -7,9 +7,10 @@ import torch
 from tensordict import TensorDict
 
 from resc.errors import CallError, CheckpointError, ConfigError
-from resc.learning.assemble import build_trainer, restore
+from resc.learning.beginning import restore
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
-from resc.policies.stored import load_policy, save_policy
+from resc.learning.training_run import TrainingRun
+from resc.policies.stored import load_policy
 from resc.run_folder import CHECKPOINT
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -42,7 +43,9 @@ def begin(compose):
 
     def begun(algorithm, model, *overrides):
         own = (*OWN[algorithm], *OWN[model], *overrides)
-        return build_trainer(compose(f"algorithm={algorithm}", f"model={model}", *SMALL, *own))
+        return TrainingRun(
+            compose(f"algorithm={algorithm}", f"model={model}", *SMALL, *own)
+        ).trainer()
 
     return begun
 
@@ -79,7 +82,7 @@ def test_a_stored_policy_acts_as_the_trained_one(begin, compose, algorithm, mode
     config = compose(f"algorithm={algorithm}", f"model={model}", *SMALL, *own)
     trainer = begin(algorithm, model)
     trainer.iterate()
-    save_policy(tmp_path, trainer.algorithm.networks, trainer.env.stages, config)
+    TrainingRun(config).save_policy(tmp_path, trainer.algorithm, trainer.env.stages)
     whole = load_policy(tmp_path)
     stored = whole.policy
     if model == "gru":
@@ -111,7 +114,7 @@ def test_exploring_draws_from_a_generator_of_its_own(begin, algorithm):
 def test_weights_of_another_algorithm_are_refused_by_name(begin, compose, tmp_path):
     config = compose("algorithm=ppo", "model=mlp", *SMALL, *OWN["ppo"])
     trainer = begin("ppo", "mlp")
-    save_policy(tmp_path / "ppo", trainer.algorithm.networks, trainer.env.stages, config)
+    TrainingRun(config).save_policy(tmp_path / "ppo", trainer.algorithm, trainer.env.stages)
     other = begin("sac", "mlp", f"init_from={tmp_path / 'ppo'}")
     with pytest.raises(CheckpointError, match=r"algorithm resc\.learning\.ppo\.Ppo"):
         restore(other, tmp_path, resumes=False, init_from=str(tmp_path / "ppo"))

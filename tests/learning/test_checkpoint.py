@@ -7,9 +7,9 @@ import torch
 from test_ppo import SMALL
 
 from resc.errors import CheckpointError, ConfigError
-from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
-from resc.policies.stored import CONFIG, POLICY, load_policy, save_policy
+from resc.learning.training_run import TrainingRun
+from resc.policies.stored import CONFIG, POLICY, load_policy
 
 
 class Hostile:
@@ -29,12 +29,12 @@ def config(compose):
 
 @pytest.fixture
 def trainer(config):
-    return build_trainer(config)
+    return TrainingRun(config).trainer()
 
 
 @pytest.fixture
 def folder(trainer, config, tmp_path):
-    save_policy(tmp_path, trainer.algorithm.networks, trainer.env.stages, config)
+    TrainingRun(config).save_policy(tmp_path, trainer.algorithm, trainer.env.stages)
     return tmp_path
 
 
@@ -52,7 +52,7 @@ def test_policy_file_is_small(folder):
 
 
 def test_policy_of_another_observation_names_the_first_difference(folder, compose):
-    other = build_trainer(compose(*SMALL, "obstacle_observation=none"))
+    other = TrainingRun(compose(*SMALL, "obstacle_observation=none")).trainer()
     with pytest.raises(CheckpointError, match=r"trained on sub_cell .*gives velocity"):
         load_policy(folder).require_layout(other.env.stages)
 
@@ -75,7 +75,7 @@ def test_checkpoint_cut_short_is_refused(trainer, tmp_path):
 
 def test_checkpoint_of_another_number_of_environments_is_refused(trainer, tmp_path, compose):
     save_checkpoint(tmp_path / "checkpoint.pt", trainer)
-    other = build_trainer(compose(*SMALL, "num_envs=4"))
+    other = TrainingRun(compose(*SMALL, "num_envs=4")).trainer()
     with pytest.raises(CheckpointError, match="8 environments, this run has 4"):
         load_checkpoint(tmp_path / "checkpoint.pt", other)
 

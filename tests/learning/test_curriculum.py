@@ -9,9 +9,9 @@ from resc import keys
 from resc.build import build_terms
 from resc.errors import ConfigError
 from resc.flying.episodes import EpisodeStatistics
-from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.learning.progress import draw_learning_curve
+from resc.learning.training_run import TrainingRun
 from resc.term import Curriculum
 
 FIXED = "resc.terms.curricula.fixed.Fixed"
@@ -35,9 +35,9 @@ KINDS = {"linear": LINEAR, "success": SUCCESS, "free_then_obstacles": SWITCH}
 
 @pytest.fixture
 def make_trainer(compose):
-    return lambda *overrides: build_trainer(
+    return lambda *overrides: TrainingRun(
         compose(*SMALL, "obstacle_observation=none", "reward=paper2025", *overrides)
-    )
+    ).trainer()
 
 
 def at(value, *names):

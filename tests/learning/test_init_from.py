@@ -8,9 +8,9 @@ from omegaconf import OmegaConf
 from test_ppo import SMALL, weights
 
 from resc.errors import CheckpointError, ConfigError
-from resc.learning.assemble import build_trainer, first_weights, restore
+from resc.learning.beginning import first_weights, restore
 from resc.learning.checkpoint import save_checkpoint
-from resc.policies.stored import save_policy
+from resc.learning.training_run import TrainingRun
 from resc.run_folder import CHECKPOINT, JOB
 from resc.settings import fingerprint
 
@@ -19,16 +19,16 @@ from resc.settings import fingerprint
 def trained(compose, tmp_path):
     """A trainer after two batches, and the folder of its policy."""
     config = compose(*SMALL, "model.normalization=running")
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     trainer.iterate()
     trainer.iterate()
-    save_policy(tmp_path / "trained", trainer.algorithm.networks, trainer.env.stages, config)
+    TrainingRun(config).save_policy(tmp_path / "trained", trainer.algorithm, trainer.env.stages)
     return trainer, tmp_path / "trained"
 
 
 def begun(compose, folder, *overrides):
     config = compose(*SMALL, "model.normalization=running", f"init_from={folder}", *overrides)
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     restore(trainer, folder.parent / "run", resumes=False, init_from=config["init_from"])
     return trainer, config
 
@@ -86,7 +86,7 @@ def test_a_run_goes_on_without_the_folder_that_it_began_with(compose, trained, t
     (tmp_path / "run").mkdir()
     save_checkpoint(tmp_path / "run" / CHECKPOINT, trainer)
     shutil.rmtree(trained[1])
-    again = build_trainer(config)
+    again = TrainingRun(config).trainer()
     restore(again, tmp_path / "run", resumes=True, init_from=config["init_from"])
     assert torch.equal(weights(again), weights(trainer))
     assert again.frames == trainer.frames

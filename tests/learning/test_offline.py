@@ -9,11 +9,12 @@ from test_ppo import SMALL
 
 from resc import keys
 from resc.errors import RecordingError
-from resc.learning.assemble import build_trainer
 from resc.learning.offline import replay_buffer, transitions
 from resc.learning.training import record_batch
+from resc.learning.training_run import TrainingRun
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import open_recorder, record_world
+from resc.recording.rollouts import record_world
+from resc.setup import build_stages
 
 RUN = (*SMALL, "obstacle_observation=none", "renew_scenes=0", "recorder=mcap")
 
@@ -23,12 +24,12 @@ def flown(compose, tmp_path_factory):
     """A recording of four batches, and the observations of the trainer [T, N, width]."""
     folder = tmp_path_factory.mktemp("rollouts")
     config = compose(*RUN)
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     trainer.collector.keep_starts()
     outcomes = trainer.statistics.outcomes
     seen = []
-    with open_recorder(
-        config, trainer.env.stages, directory=folder, outcomes=outcomes, num_envs=8
+    with TrainingRun(config).recorded.open(
+        trainer.env.stages, directory=folder, outcomes=outcomes, num_envs=8
     ) as recorder:
         record_world(recorder, trainer.env.pool, 0)
         for _ in range(4):
@@ -62,7 +63,8 @@ def test_actions_rewards_and_ends_are_the_recorded_ones(flown):
 def test_another_observation_is_seen_on_the_same_flights(flown, compose):
     log, _ = flown
     data = transitions(
-        log.where(index=2), config=compose(*RUN[:-3], "obstacle_observation=sdf_gradient")
+        log.where(index=2),
+        stages=build_stages(compose(*RUN[:-3], "obstacle_observation=sdf_gradient")),
     )
     plain = transitions(log.where(index=2))
     assert data["observation"].shape[1] == plain["observation"].shape[1] + 3

@@ -9,8 +9,8 @@ from torchrl.objectives import ClipPPOLoss
 
 from resc import keys
 from resc.errors import ConfigError, NumericalError
-from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
+from resc.learning.training_run import TrainingRun
 
 SMALL = [
     "compile=false",
@@ -31,7 +31,7 @@ def weights(trainer):
 
 @pytest.fixture
 def trainer(compose):
-    return build_trainer(compose(*SMALL))
+    return TrainingRun(compose(*SMALL)).trainer()
 
 
 def test_reward_terms_of_a_batch_sum_to_the_reward(trainer):
@@ -42,7 +42,7 @@ def test_reward_terms_of_a_batch_sum_to_the_reward(trainer):
 
 @pytest.mark.parametrize("entropy", [0.0, 0.02])
 def test_the_losses_and_their_gradients_are_those_of_torchrl(compose, entropy):
-    trainer = build_trainer(compose(*SMALL, f"algorithm.entropy_coefficient={entropy}"))
+    trainer = TrainingRun(compose(*SMALL, f"algorithm.entropy_coefficient={entropy}")).trainer()
     trainer.iterate()  # away from the first weights, so that ratios differ from one
     trainer.collector.collect()
     algorithm = trainer.algorithm
@@ -81,7 +81,7 @@ def test_the_losses_and_their_gradients_are_those_of_torchrl(compose, entropy):
 
 
 def test_same_seed_gives_the_same_weights_bit_for_bit(compose):
-    first, second = (build_trainer(compose(*SMALL)) for _ in range(2))
+    first, second = (TrainingRun(compose(*SMALL)).trainer() for _ in range(2))
     for _ in range(2):
         first.iterate()
         second.iterate()
@@ -89,20 +89,20 @@ def test_same_seed_gives_the_same_weights_bit_for_bit(compose):
 
 
 def test_another_seed_gives_other_weights(compose):
-    first = build_trainer(compose(*SMALL))
-    second = build_trainer(compose(*SMALL, "seed=1"))
+    first = TrainingRun(compose(*SMALL)).trainer()
+    second = TrainingRun(compose(*SMALL, "seed=1")).trainer()
     assert not torch.equal(weights(first), weights(second))
 
 
 def test_resumed_run_equals_the_run_that_never_stopped(compose, tmp_path):
-    whole = build_trainer(compose(*SMALL))
+    whole = TrainingRun(compose(*SMALL)).trainer()
     for _ in range(4):
         whole.iterate()
-    half = build_trainer(compose(*SMALL))
+    half = TrainingRun(compose(*SMALL)).trainer()
     for _ in range(2):
         half.iterate()
     save_checkpoint(tmp_path / "checkpoint.pt", half)
-    resumed = build_trainer(compose(*SMALL))
+    resumed = TrainingRun(compose(*SMALL)).trainer()
     load_checkpoint(tmp_path / "checkpoint.pt", resumed)
     for _ in range(2):
         resumed.iterate()
@@ -143,7 +143,7 @@ def test_advantages_agree_with_a_loop_that_bootstraps_truncations_only(trainer):
 
 def test_batch_larger_than_what_is_collected_is_refused(compose):
     with pytest.raises(ConfigError, match=r"algorithm: minibatch is 4096, more than a batch"):
-        build_trainer(compose(*SMALL, "algorithm.minibatch=4096"))
+        TrainingRun(compose(*SMALL, "algorithm.minibatch=4096")).trainer()
 
 
 def test_nan_in_the_policy_is_named_with_environment_and_step(trainer):
@@ -167,7 +167,7 @@ def test_renewed_scenes_truncate_the_episodes_flying_in_them(trainer):
 )
 def test_learning_rate_falls_from_one_end_to_the_other(compose, schedule, halfway):
     ends = "algorithm.learning_rate=0.01", "algorithm.final_learning_rate=0.0001"
-    trainer = build_trainer(compose(*SMALL, *ends, f"algorithm.schedule={schedule}"))
+    trainer = TrainingRun(compose(*SMALL, *ends, f"algorithm.schedule={schedule}")).trainer()
     rates = []
     for frames in (0, 512, 1024):
         trainer.algorithm.frames = frames
@@ -177,4 +177,4 @@ def test_learning_rate_falls_from_one_end_to_the_other(compose, schedule, halfwa
 
 def test_geometric_schedule_cannot_end_at_nothing(compose):
     with pytest.raises(ConfigError, match="a geometric schedule needs one above zero"):
-        build_trainer(compose(*SMALL, "algorithm.final_learning_rate=0.0"))
+        TrainingRun(compose(*SMALL, "algorithm.final_learning_rate=0.0")).trainer()

@@ -7,17 +7,16 @@ import threading
 import pytest
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
+from resumed_by import resumed_by
 from test_ppo import SMALL
 
 from resc.errors import ConfigError, RecordingError
 from resc.flying.replay import fly_again
-from resc.learning.assemble import build_trainer, fly_held_out, resumed
 from resc.learning.checkpoint import load_checkpoint
 from resc.learning.progress import CsvLogger, ProgressTable, describe, draw_learning_curve
 from resc.learning.training import train
-from resc.policies.stored import save_policy
+from resc.learning.training_run import TrainingRun
 from resc.recording.reader import RolloutLog
-from resc.recording.rollouts import open_recorder
 from resc.run_folder import CHECKPOINT, CONFIG
 
 
@@ -37,17 +36,13 @@ def run(trainer, folder, recorder=None, total_frames=512):
 
 def recorder_for(config, trainer, folder):
     outcomes = trainer.statistics.outcomes
-    return open_recorder(
-        config,
-        trainer.env.stages,
-        directory=folder,
-        outcomes=outcomes,
-        num_envs=trainer.env.num_envs,
+    return TrainingRun(config).recorded.open(
+        trainer.env.stages, directory=folder, outcomes=outcomes, num_envs=trainer.env.num_envs
     )
 
 
 def test_run_leaves_checkpoint_curve_and_one_row_per_batch(compose, tmp_path):
-    complete, table = run(build_trainer(compose(*SMALL)), tmp_path)
+    complete, table = run(TrainingRun(compose(*SMALL)).trainer(), tmp_path)
     assert complete
     assert [row["frames"] for row in table.rows] == [128, 256, 384, 512]
     draw_learning_curve(table.rows, tmp_path / "learning_curve.png")
@@ -84,18 +79,18 @@ def test_progress_of_a_resumed_run_drops_rows_beyond_its_checkpoint(tmp_path):
 
 
 def test_interrupt_ends_after_the_batch_with_a_checkpoint_to_go_on_from(compose, tmp_path):
-    trainer = build_trainer(compose(*SMALL))
+    trainer = TrainingRun(compose(*SMALL)).trainer()
     threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
     complete, _ = run(trainer, tmp_path, total_frames=10**9)
     assert not complete
-    second = build_trainer(compose(*SMALL))
+    second = TrainingRun(compose(*SMALL)).trainer()
     load_checkpoint(tmp_path / CHECKPOINT, second)
     assert second.frames == trainer.frames > 0
 
 
 def test_every_rollout_is_recorded_and_its_terms_sum_to_the_reward(compose, tmp_path):
     config = compose(*SMALL)
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     with recorder_for(config, trainer, tmp_path / "rollouts") as recorder:
         run(trainer, tmp_path, recorder)
     log = RolloutLog(tmp_path / "rollouts")
@@ -110,7 +105,7 @@ def test_every_rollout_is_recorded_and_its_terms_sum_to_the_reward(compose, tmp_
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_completes_the_recording(compose, tmp_path, number):
     config = compose(*SMALL)
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     with recorder_for(config, trainer, tmp_path / "rollouts") as recorder:
         threading.Timer(0.5, os.kill, (os.getpid(), number)).start()
         complete, _ = run(trainer, tmp_path, recorder, total_frames=10**9)
@@ -122,12 +117,12 @@ def test_signal_completes_the_recording(compose, tmp_path, number):
 
 def test_full_recording_stops_training_with_the_checkpoint_saved(compose, tmp_path):
     config = compose(*SMALL, "recorder.max_gb=1e-6", "recorder.when_full=stop")
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     recorder = recorder_for(config, trainer, tmp_path / "rollouts")
     with pytest.raises(RecordingError, match="max_gb"):
         run(trainer, tmp_path, recorder, total_frames=10**6)
     recorder.close()
-    second = build_trainer(compose(*SMALL))
+    second = TrainingRun(compose(*SMALL)).trainer()
     load_checkpoint(tmp_path / CHECKPOINT, second)
     assert second.frames > 0
 
@@ -136,9 +131,9 @@ def test_held_out_flights_are_recorded_whole_and_fly_again(compose, tmp_path):
     """Whatever part of the training is recorded: here 8 environments, of which there are but 6."""
     some = ("recorder.envs=8", "recorder.every_n_batches=3", "evaluation_episodes=6")
     config = compose(*SMALL, *some, "termination.time_limit.limit_s=0.5")
-    trainer = build_trainer(config)
-    save_policy(tmp_path, trainer.algorithm.networks, trainer.env.stages, config)
-    flights = fly_held_out(config, tmp_path, ["seed=0"])
+    trainer = TrainingRun(config).trainer()
+    TrainingRun(config).save_policy(tmp_path, trainer.algorithm, trainer.env.stages)
+    flights = TrainingRun(config, ["seed=0"]).fly_held_out(tmp_path)
     log = RolloutLog(tmp_path / "held_out")
     episodes = log.episodes.sort("env_id")
     assert episodes["length"].to_list() == flights.steps.tolist()
@@ -151,7 +146,7 @@ def test_held_out_flights_are_recorded_whole_and_fly_again(compose, tmp_path):
 def test_resumed_run_takes_the_readers_allowed_targets_not_the_folders(compose, tmp_path):
     stored = compose(*SMALL, "allowed_targets=[os.]")
     OmegaConf.save(stored, tmp_path / CONFIG)
-    config = resumed(compose(*SMALL, f"resume={tmp_path}"), [], tmp_path)
+    config = resumed_by(compose(*SMALL, f"resume={tmp_path}"), [], tmp_path)
     assert config["allowed_targets"] == []
 
 

@@ -6,10 +6,10 @@ from test_ppo import SMALL, weights
 from torch.testing import assert_close
 
 from resc.errors import CheckpointError, ConfigError
-from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
+from resc.learning.training_run import TrainingRun
 from resc.policies.networks import RunningNormalization
-from resc.policies.stored import load_policy, save_policy
+from resc.policies.stored import load_policy
 
 RUNNING = "model.normalization=running"
 
@@ -42,7 +42,7 @@ def test_a_column_that_never_changes_reads_zero_and_an_outlier_is_bounded():
 
 
 def test_statistics_are_those_of_the_batches_before_the_one_collected(config):
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     trainer.iterate()
     batch = trainer.batch["observation"].flatten(0, 1).double()
     assert_close(trainer.policy.normalization.mean, batch.mean(0))
@@ -54,7 +54,7 @@ def test_statistics_are_those_of_the_batches_before_the_one_collected(config):
 
 def test_the_update_begins_at_the_policy_that_collected(compose):
     still = ("algorithm.learning_rate=1.0e-30", "algorithm.final_learning_rate=1.0e-30")
-    trainer = build_trainer(compose(*SMALL, RUNNING, *still))
+    trainer = TrainingRun(compose(*SMALL, RUNNING, *still)).trainer()
     for _ in range(3):
         figures = trainer.iterate()
         assert abs(figures["policy/kl"]) < 1e-5
@@ -62,7 +62,7 @@ def test_the_update_begins_at_the_policy_that_collected(compose):
 
 
 def test_a_normalised_run_resumed_equals_the_run_that_never_stopped(config, tmp_path):
-    whole, half, resumed = (build_trainer(config) for _ in range(3))
+    whole, half, resumed = (TrainingRun(config).trainer() for _ in range(3))
     for _ in range(4):
         whole.iterate()
     for _ in range(2):
@@ -77,10 +77,10 @@ def test_a_normalised_run_resumed_equals_the_run_that_never_stopped(config, tmp_
 
 
 def test_a_stored_policy_normalises_as_training_did_and_flying_teaches_it_nothing(config, tmp_path):
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     for _ in range(2):
         trainer.iterate()
-    save_policy(tmp_path, trainer.algorithm.networks, trainer.env.stages, config)
+    TrainingRun(config).save_policy(tmp_path, trainer.algorithm, trainer.env.stages)
     policy, trained = load_policy(tmp_path), trainer.policy
     observation = trainer.env.observation
     wanted = trained.network(trained.normalization(observation)).clamp(-1, 1)
@@ -95,12 +95,12 @@ def test_a_stored_policy_normalises_as_training_did_and_flying_teaches_it_nothin
 def test_a_policy_without_the_statistics_its_configuration_asks_for_is_refused(
     compose, config, tmp_path
 ):
-    plain = build_trainer(compose(*SMALL))
-    save_policy(tmp_path, plain.algorithm.networks, plain.env.stages, config)
+    plain = TrainingRun(compose(*SMALL)).trainer()
+    TrainingRun(config).save_policy(tmp_path, plain.algorithm, plain.env.stages)
     with pytest.raises(CheckpointError, match="does not fit"):
         load_policy(tmp_path)
 
 
 def test_an_unknown_normalization_is_refused(compose):
     with pytest.raises(ConfigError, match="expected one of none, running"):
-        build_trainer(compose(*SMALL, "model.normalization=runing"))
+        TrainingRun(compose(*SMALL, "model.normalization=runing")).trainer()

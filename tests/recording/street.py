@@ -11,10 +11,10 @@ from torch import Tensor
 
 from resc.flying.flights import fly
 from resc.flying.pilot import Pilot
+from resc.learning.training_run import TrainingRun
 from resc.recording import Column, RolloutLog, RolloutRecorder
-from resc.recording.rollouts import open_recorder
 from resc.scenes.layout import Layout
-from resc.setup import set_up
+from resc.setup import among, build_stages
 
 ROUTE = [[1.5, 1.0, 1.0], [2.0, 1.0, 1.0], [2.0, 1.0, 1.0]]
 BOX = [3.0, 0.5, 0.4, 1.0]
@@ -46,11 +46,10 @@ class StraightOn(Pilot):
 def fly_street(config: DictConfig, folder: Path) -> RolloutLog:
     """The recording of two flights along the street."""
     config = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
-    setup = set_up(config, size=2, seed=0, scene=Street())
+    scenes = Street().sample(2, torch.Generator())
+    setup = among(scenes, build_stages(config), config["device"])
     env = setup.env(config["num_envs"], compiled=config["compile"], seed=3, in_order=True)
-    recorder = open_recorder(
-        config, env.stages, directory=folder, outcomes=env.stages.outcomes, num_envs=2
-    )
+    recorder = TrainingRun(config).recorded.open(env.stages, directory=folder, num_envs=2)
     assert recorder is not None
     with recorder:
         fly(env, StraightOn(), recorder=recorder)

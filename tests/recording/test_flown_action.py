@@ -10,13 +10,13 @@ from street import fly_street
 from resc import keys
 from resc.errors import RecordingError
 from resc.flying.replay import fly_again
-from resc.learning.assemble import build_trainer
 from resc.learning.offline import transitions
 from resc.learning.training import record_batch
+from resc.learning.training_run import TrainingRun
 from resc.recording import RolloutLog
 from resc.recording.check import check
 from resc.recording.rewrite import merge, recover
-from resc.recording.rollouts import open_recorder, record_world
+from resc.recording.rollouts import record_world
 from resc.recording.schema import ACTION, SAMPLED_ACTION
 from resc.viewing.appearance import scene_numbers
 from resc.viewing.episode_scene import load_scene
@@ -33,12 +33,11 @@ SMALL = (
 def trained(compose, tmp_path_factory):
     """Four batches of a training, and its samples [T, N, 4] as the update sees them."""
     folder, samples, config = tmp_path_factory.mktemp("run"), [], compose(*SMALL)
-    trainer = build_trainer(config)
+    trainer = TrainingRun(config).trainer()
     trainer.collector.keep_starts()
-    with open_recorder(
-        config, trainer.env.stages, directory=folder, outcomes=trainer.statistics.outcomes,
-        num_envs=4,
-    ) as recorder:  # fmt: skip
+    with TrainingRun(config).recorded.open(
+        trainer.env.stages, directory=folder, outcomes=trainer.statistics.outcomes, num_envs=4
+    ) as recorder:
         record_world(recorder, trainer.env.pool, 0)
         for _ in range(4):
             trainer.iterate()
@@ -139,7 +138,7 @@ def test_replays_and_datasets_without_the_sample_are_refused(tmp_path):
     )
     assert log.to_tensordict()["action"].abs().max() <= 1
     with pytest.raises(RecordingError, match="no column sampled_action, which a dataset needs"):
-        transitions(log.where(), config={})
+        transitions(log.where())
 
 
 def test_commanded_rates_in_pictures_are_within_the_limits(tmp_path):

@@ -28,7 +28,7 @@ def test_a_missing_column_is_named_with_who_needs_it(log, tmp_path):
     with pytest.raises(RecordingError, match=r"no column reward, which a scene needs"):
         load_scene(log, 0)
     with pytest.raises(RecordingError, match=r"no column sampled_action, which a dataset needs"):
-        transitions(log.where(), config={})
+        transitions(log.where())
 
 
 def test_actions_alone_are_not_compared():

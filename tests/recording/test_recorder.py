@@ -17,8 +17,8 @@ from tensordict import TensorDict
 
 import resc
 from resc.errors import ConfigError, RecordingError
+from resc.learning.training_run import TrainingRun
 from resc.recording import Column, RolloutLog, RolloutRecorder
-from resc.recording.rollouts import open_recorder
 
 COLUMNS = (
     Column(("state", "position_w"), ("x", "y", "z"), torch.float32, "m", "w"),
@@ -580,8 +580,8 @@ def test_a_real_write_failure_leaves_what_was_written(tmp_path, children):
 
 def test_the_configuration_chooses_environments_and_columns(tmp_path, compose, make_stages):
     overrides = ("recorder.fields=[state.position_w,action]", "recorder.envs=2")
-    with open_recorder(
-        compose(*overrides), make_stages(), directory=tmp_path, outcomes=("success",), num_envs=4
+    with TrainingRun(compose(*overrides)).recorded.open(
+        make_stages(), directory=tmp_path, outcomes=("success",), num_envs=4
     ) as target:
         shape = (3, 4)
         data = {"state": {"position_w": torch.ones(*shape, 3)}, "action": torch.zeros(*shape, 4)}
@@ -590,10 +590,6 @@ def test_the_configuration_chooses_environments_and_columns(tmp_path, compose, m
     assert [column.key for column in log.columns] == [("state", "position_w"), ("action",)]
     assert log.batch(0)["state", "position_w"].shape == (3, 2, 3)
     with pytest.raises(ConfigError, match=r"recorder.fields has no 'acton'. Did you mean 'action'"):
-        open_recorder(
-            compose("recorder.fields=[acton]"),
-            make_stages(),
-            directory=tmp_path,
-            outcomes=("success",),
-            num_envs=4,
+        TrainingRun(compose("recorder.fields=[acton]")).recorded.open(
+            make_stages(), directory=tmp_path, outcomes=("success",), num_envs=4
         )

@@ -10,15 +10,15 @@ from small_run import COLUMNS, ENDS, ENVS, EPISODES, STEPS, episodes, record, ro
 from resc import keys
 from resc.flying.replay import fly_again
 from resc.learning import training
-from resc.learning.assemble import build_trainer
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.learning.progress import CsvLogger, ProgressTable
 from resc.learning.training import record_batch
+from resc.learning.training_run import TrainingRun
 from resc.log_command import main
 from resc.recording import RolloutLog
 from resc.recording.check import check
 from resc.recording.rewrite import merge, recover
-from resc.recording.rollouts import open_recorder, record_world
+from resc.recording.rollouts import record_world
 from resc.recording.source import open_source
 
 TOTAL = len(EPISODES)
@@ -227,10 +227,9 @@ RUN = (
 
 def fly(trainer, config, folder, batches):
     """Trains some batches more, and records them."""
-    with open_recorder(
-        config, trainer.env.stages, directory=folder, outcomes=trainer.statistics.outcomes,
-        num_envs=4,
-    ) as recorder:  # fmt: skip
+    with TrainingRun(config).recorded.open(
+        trainer.env.stages, directory=folder, outcomes=trainer.statistics.outcomes, num_envs=4
+    ) as recorder:
         record_world(recorder, trainer.env.pool, trainer.collector.start_step)
         trainer.collector.keep_starts()
         for _ in range(batches):
@@ -241,7 +240,7 @@ def fly(trainer, config, folder, batches):
 @pytest.mark.slow
 def test_a_training_resumed_from_its_checkpoint_is_read_as_if_never_interrupted(compose, tmp_path):
     config = compose(*RUN)
-    first, second = build_trainer(config), build_trainer(config)
+    first, second = TrainingRun(config).trainer(), TrainingRun(config).trainer()
     fly(first, config, tmp_path / "run", 2)
     save_checkpoint(tmp_path / "checkpoint.pt", first)
     fly(first, config, tmp_path / "run", 2)
@@ -262,11 +261,13 @@ def test_a_training_resumed_from_its_checkpoint_is_read_as_if_never_interrupted(
 
 def test_what_was_flown_before_a_checkpoint_is_on_the_disk_with_it(compose, tmp_path, monkeypatch):
     config = compose(*RUN)
-    trainer, written = build_trainer(config), []
-    recorder = open_recorder(
-        config, trainer.env.stages, directory=tmp_path / "run", num_envs=4,
+    trainer, written = TrainingRun(config).trainer(), []
+    recorder = TrainingRun(config).recorded.open(
+        trainer.env.stages,
+        directory=tmp_path / "run",
+        num_envs=4,
         outcomes=trainer.statistics.outcomes,
-    )  # fmt: skip
+    )
     monkeypatch.setattr(
         training, "save_checkpoint", lambda *_: written.append(recorder.batches_written)
     )

@@ -12,8 +12,7 @@ from matplotlib import pyplot as plt
 from omegaconf import OmegaConf
 
 from resc.errors import ConfigError
-from resc.learning.assemble import build_algorithm
-from resc.policies.stored import save_policy
+from resc.learning.training_run import TrainingRun
 from resc.setup import build_stages
 from resc.studies.score_report import Score, over_seeds, read_score, write_scores
 from resc.studies.scores import as_evaluation, fly_sweep
@@ -44,8 +43,8 @@ def sweep(tmp_path, stored):
     folder = tmp_path / "sweep"
     make_run(folder / "0", "seed=0", "gamma=0.9", success=[1, 0])
     stages = build_stages(stored)
-    networks = build_algorithm(stored, stages).networks
-    save_policy(folder / "0", networks, stages, stored)
+    networks = TrainingRun(stored).algorithm(stages)
+    TrainingRun(stored).save_policy(folder / "0", networks, stages)
     OmegaConf.save(stored, folder / "0" / "config.yaml")
     (folder / "1").mkdir()
     (folder / "1" / "job.json").write_text(json.dumps({"overrides": ["seed=1", "gamma=0.9"]}))
