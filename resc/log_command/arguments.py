@@ -117,7 +117,5 @@ def output(given: argparse.Namespace, default: Path) -> Path:
 
 def _inputs(given: argparse.Namespace) -> list[Path]:
     """The files that a command reads."""
-    if "file" in given:
-        return [given.file]
     locations = given.recordings if "recordings" in given else [given.recording]
     return [path for location in locations for path in recordings_at(location)]

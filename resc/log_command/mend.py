@@ -1,6 +1,7 @@
 """Commands about whole files: check, recover, merge."""
 
 import argparse
+import sys
 from os.path import realpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,14 +29,14 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         commands,
         "recover",
         run_recover,
-        "make a cut, damaged or growing file a complete one, and read it back; exit 0: nothing "
-        "is lost, 3: something is, and it says what, 1: nothing can be read",
+        "make cut, damaged or growing files complete ones, and read them back; exit 0: nothing "
+        "is lost, 3: something is, and it says what, 1: a file cannot be read",
         "resc-log recover runs/latest_train/rollouts/rollouts_00003.mcap.active --out saved.mcap",
     )
-    recovering.add_argument("file", type=Path, metavar="FILE", help="stays as it is")
+    add_recording(recovering)
     add_output(
         recovering,
-        "recovered_NAME.mcap beside FILE, which RolloutLog does not take for one "
+        "recovered_NAME.mcap beside each file, which RolloutLog does not take for one "
         "more file of the run",
     )
     merging = add_command(
@@ -67,16 +68,30 @@ def run_check(given: argparse.Namespace) -> int:
 
 
 def run_recover(given: argparse.Namespace) -> int:
-    """Writes what can be read to a new file; `UNFINISHED` if something is lost."""
+    """Writes what can be read of each file to a new one; the code of the file that went worst."""
+    files = recordings_at(given.recording)
+    if len(files) > 1 and given.out is not None:
+        raise RecordingError(
+            f"{given.recording} has {len(files)} files, and --out names one; leave out --out, or "
+            "recover one file at a time."
+        )
+    codes = {_recovered(given, file, alone=len(files) == 1) for file in files}
+    by_gravity = (ExitCode.ERROR, ExitCode.UNFINISHED, ExitCode.DONE)
+    return next(code for code in by_gravity if code in codes)
+
+
+def _recovered(given: argparse.Namespace, file: Path, *, alone: bool) -> ExitCode:
+    """Recovers one file; one of several that cannot be read does not keep the others back."""
     from resc.recording.rewrite import recover
 
-    if given.file.is_dir():
-        raise RecordingError(f"{given.file} is a folder; name one of the files in it.")
-    if given.file.exists() and not given.file.is_file():
-        raise RecordingError(f"{given.file} is no file; name a recording.")
-    name = given.file.name.removesuffix(ACTIVE)
-    path = output(given, given.file.with_name(f"recovered_{name}"))
-    return _report(recover(given.file, path), path)
+    try:
+        path = output(given, file.with_name(f"recovered_{file.name.removesuffix(ACTIVE)}"))
+        return _report(recover(file, path), path)
+    except RecordingError as error:
+        if alone:
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        return ExitCode.ERROR
 
 
 def run_merge(given: argparse.Namespace) -> int:
@@ -89,8 +104,7 @@ def run_merge(given: argparse.Namespace) -> int:
     return _report(merge(files, path), path)
 
 
-def _report(done: "Rewritten", path: Path) -> int:
-    for loss in done.lost:
-        print(f"left out: {loss}")
-    print(f"{path}: {done.batches:,} batches, {path.stat().st_size / 1e6:,.1f} MB")
+def _report(done: "Rewritten", path: Path) -> ExitCode:
+    lost = f"; left out: {'; '.join(done.lost)}" if done.lost else ""
+    print(f"{path}: {done.batches:,} batches, {path.stat().st_size / 1e6:,.1f} MB{lost}")
     return ExitCode.UNFINISHED if done.lost else ExitCode.DONE

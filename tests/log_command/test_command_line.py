@@ -228,7 +228,29 @@ def test_damage_makes_recover_end_with_3(run, call, tmp_path):
     assert call("check", "bad.mcap")[0] == 1
     code, out, _ = call("recover", "bad.mcap")
     assert code == 3
-    assert out.startswith("left out: ")
+    assert out.startswith("recovered_bad.mcap: 3 batches, ")
+    assert "; left out: /rollout: bad.mcap is damaged at byte " in out
+
+
+def test_recover_mends_every_file_of_a_folder_and_ends_as_the_worst(run, call, tmp_path):
+    data = (run / "rollouts" / "rollouts_00000.mcap").read_bytes()
+    damaged = bytearray(data)
+    damaged[len(data) // 2] ^= 0xFF
+    files = {"rollouts_00000.mcap": data, "rollouts_00001.mcap": damaged}
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    assert call("recover", tmp_path, "--out", "all.mcap")[0] == 1
+    code, out, _ = call("recover", tmp_path)
+    assert code == 3
+    first, second = out.splitlines()
+    assert first.startswith(f"{tmp_path}/recovered_rollouts_00000.mcap: 4 batches, ")
+    assert "; left out: " not in first
+    assert "; left out: " in second
+    (tmp_path / "rollouts_00002.mcap").write_text("a text, not a recording")
+    code, out, errors = call("recover", f"{tmp_path}/rollouts_*.mcap", "--force")
+    assert (code, len(out.splitlines())) == (1, 2)
+    assert errors.startswith("error: ")
+    assert "rollouts_00002.mcap is not an MCAP file" in errors
 
 
 def test_an_output_that_exists_is_kept_unless_forced(run, call, tmp_path):

@@ -115,7 +115,7 @@ def test_any_condition_is_applied_or_answered_in_a_sentence(condition, answer):
         (("merge", "run", "--out", ".", "--force"), 1),
         (("merge", "run", "--out", "loop"), 1),
         (("merge", "run", "--out", "/proc/x.mcap"), 1),
-        (("recover", "run"), 1),
+        (("recover", "run", "--force"), 0),
         (("recover", "/"), 1),
         (("recover", "run/rollouts_00000.mcap", "--out", "/proc/x.mcap"), 1),
         (("info", "run", "extra"), 2),
