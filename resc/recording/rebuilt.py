@@ -1,5 +1,6 @@
 """The specification of a file that lost it: from the protobuf schemas and the messages."""
 
+import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
@@ -62,8 +63,13 @@ def rebuilt(file: IO[bytes], size: int, path: Path) -> Specification | None:
         outcomes=tuple(outcomes),
         round_bits=None,
         every_n_batches=1,
-        session=str(path.resolve().parent),
+        session=_session_of(path.resolve().parent),
     )
+
+
+def _session_of(folder: Path) -> str:
+    """One session for the files of a folder; it does not tell where the folder is."""
+    return uuid.uuid5(uuid.NAMESPACE_URL, folder.as_uri()).hex
 
 
 def _said(found: Found) -> tuple[int, int, list[str]]:

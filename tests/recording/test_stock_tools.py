@@ -14,6 +14,7 @@ from resc.recording.check import check
 from resc.recording.rebuilt import columns_of
 from resc.recording.rewrite import recover
 from resc.recording.schema import Column, schema_data
+from resc.recording.source import open_sources
 
 DT_NS = 20_000_000
 TOPICS = ("/rollout", "/episodes", "/world", "/starts")
@@ -94,6 +95,19 @@ def test_messages_alone_give_all_steps_and_episodes(original, tmp_path, options)
     assert "'resc.run' is gone" in told
     with pytest.raises(RecordingError, match=r"has no attachment 'config\.yaml'"):
         log.config  # noqa: B018
+
+
+def test_a_rebuilt_description_does_not_tell_where_the_file_lay(original, tmp_path):
+    here, there = tmp_path / "here", tmp_path / "there"
+    sessions = []
+    for folder in (here, here, there):
+        folder.mkdir(exist_ok=True)
+        path = rewritten(folder / f"{len(sessions)}.mcap", original)
+        recover(path, folder / "saved.mcap")
+        (source,) = open_sources(folder / "saved.mcap")
+        sessions.append(source.specification.session)
+        assert str(tmp_path).encode() not in (folder / "saved.mcap").read_bytes()
+    assert sessions[0] == sessions[1] != sessions[2]
 
 
 @pytest.mark.parametrize("metadata", [True, False])
