@@ -208,15 +208,20 @@ class QuadrotorEnv(EnvBase):
         return torch.isin(self._world[keys.SCENE_INDEX][:, 0], entries).nonzero()[:, 0]
 
     def set_difficulty(self, name: str, value: float) -> None:
-        """Eases the episodes that begin from now on; 1 is full difficulty, as at construction."""
+        """Eases the episodes that begin from now on; 1 is full difficulty, as at construction.
+
+        Raises:
+            ConfigError: Nothing reads it, or scenes are laid out at another difficulty only.
+        """
         if name not in self.difficulties:
             raise ConfigError(
                 f"Nothing reads a difficulty '{name}'; there are: "
                 f"{', '.join(self.difficulties) or 'none'}."
             )
-        self.difficulties[name].fill_(value)  # in place: an input of the compiled reset
         if name == self.stages.scene_difficulty:
+            self.pool.require_level(name, value)
             self.scene_difficulty = value
+        self.difficulties[name].fill_(value)  # in place: an input of the compiled reset
 
     def generator_states(self) -> dict[str, Tensor]:
         """States of all generators, for a checkpoint."""

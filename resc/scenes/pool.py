@@ -126,6 +126,16 @@ class ScenePool:
         above = _pick(open_entries[open_entries % count == lower + 1], unit / share)
         return torch.where(unit < share, above, below)
 
+    def require_level(self, name: str, difficulty: float) -> None:
+        """Raises ConfigError if there is not a scene at a difficulty that is asked for."""
+        levels = self.levels.tolist()
+        if len(levels) == 1 and abs(difficulty - levels[0]) > SLACK:
+            raise ConfigError(
+                f"All scenes are laid out at difficulty {levels[0]:g}, so '{name}' cannot be "
+                f"{difficulty:g}; build the environment with a curriculum that has levels for it, "
+                "such as curriculum=success."
+            )
+
     def renew(self, count: int) -> Int[Tensor, " k"]:
         """Renews the next `count` scenes; returns their entries.
 

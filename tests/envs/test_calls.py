@@ -78,6 +78,14 @@ def test_a_difficulty_that_nothing_reads_is_refused(env):
         env.set_difficulty("wind", 0.5)
 
 
+def test_a_difficulty_that_no_scene_is_laid_out_at_is_refused(env):
+    env.set_difficulty("obstacles", 1.0)
+    with pytest.raises(ConfigError, match=r"at difficulty 1, so 'obstacles' cannot be 0\.5; build"):
+        env.set_difficulty("obstacles", 0.5)
+    assert env.difficulties["obstacles"].item() == 1.0
+    env.set_difficulty("initial_state", 0.5)
+
+
 @pytest.mark.slow
 def test_gymnasium_users_may_send_double_precision_and_whole_numbers(make_env):
     alone = QuadrotorGymEnv(make_env("num_envs=1", "scene=free"))
