@@ -9,11 +9,12 @@ from jaxtyping import Float
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from resc.build import build_terms
+from resc.build import build, build_terms, plain
 from resc.envs.stages import Stages, World
+from resc.errors import ConfigError, shown
 from resc.math.sampling import generator_for
 from resc.setup import in_layout
-from resc.term import Observation, Sensor
+from resc.term import Action, Observation, Sensor
 
 OWN = "observation"
 """First part of the keys of what was observed before: that of the environment is another's."""
@@ -22,8 +23,8 @@ OWN = "observation"
 class OwnObservation:
     """The observation of a stored configuration, computed from the world of another environment.
 
-    Terms, sensors, frame and history are the configuration's; vehicle, time step and maps are those
-    that are flown.
+    Terms, sensors, frame and history are the configuration's; vehicle and maps are those that are
+    flown.
 
     Args:
         env: That of a trained policy.
@@ -85,6 +86,35 @@ class OwnObservation:
         tensors = {**there, **seen, **past}
         self.last, observation = self.stages.observe(tensors, self.maps, drawn, first=not self.last)
         return observation
+
+
+def require_same_action(
+    trained: Mapping[str, Any], stages: Stages, allowed: Sequence[str] = ()
+) -> None:
+    """Raises ConfigError if actions mean something else than in a stored configuration.
+
+    They do in another time step, or under another action term or other numbers of it.
+    """
+    dt_s = trained["env"]["dt_s"]
+    if dt_s != stages.context.dt_s:
+        raise ConfigError(
+            f"the policy was trained with env.dt_s={dt_s:g}, but it would fly with "
+            f"{stages.context.dt_s:g}; set env.dt_s={dt_s:g}, or fly another policy."
+        )
+    flown = stages.terms.action
+    own = build(trained["action"], "action", allowed=allowed, kind=Action).named(flown.name)
+    own.bind(stages.context)
+    if type(own) is not type(flown) or _numbers(own) != _numbers(flown):
+        raise ConfigError(
+            f"the policy was trained with another action, {shown(plain(trained['action']), 300)}; "
+            "set the same, or fly another policy."
+        )
+
+
+def _numbers(action: Action) -> dict[str, object]:
+    """What an action term was made with; how long commands may wait is the vehicle's."""
+    own = {name: value for name, value in vars(action).items() if isinstance(value, float | tuple)}
+    return own | {name: buffer.tolist() for name, buffer in action.named_buffers()}
 
 
 def _read_by(observations: Sequence[Observation], sensors: Sequence[Sensor]) -> list[Sensor]:

@@ -12,7 +12,7 @@ from resc import keys
 from resc.build import build
 from resc.envs.stages import Stages, World
 from resc.errors import ConfigError
-from resc.flying.own_observation import OwnObservation
+from resc.flying.own_observation import OwnObservation, require_same_action
 from resc.policies.stored import StoredPolicy, load_policy, policy_folder
 from resc.recording.rollouts import digest
 from resc.schema import folder_name
@@ -130,9 +130,13 @@ class FolderPilot(PolicyPilot):
         self.allowed = allowed_targets
 
     def check(self, stages: Stages) -> None:
-        """Raises a RescError if it cannot observe such an environment as in its training."""
+        """Raises a RescError if it cannot observe or act there as in its training."""
         if self.own_observation:
-            stages = self._own(stages).stages
+            try:
+                require_same_action(self.policy.config, stages, self.allowed)
+                stages = self._own(stages).stages
+            except ConfigError as error:
+                raise ConfigError(f"pilot.{self.name}: {error}") from None
         super().check(stages)
 
     def begin(self, flights: int, stages: Stages, maps: World) -> None:
@@ -150,7 +154,4 @@ class FolderPilot(PolicyPilot):
     def _own(self, stages: Stages) -> OwnObservation:
         stored = self.policy.config
         nodes = (stored["env"], stored["observation"], stored.get("sensor"))
-        try:
-            return OwnObservation(*nodes, stages, self.allowed)
-        except ConfigError as error:
-            raise ConfigError(f"pilot.{self.name}: {error}") from None
+        return OwnObservation(*nodes, stages, self.allowed)

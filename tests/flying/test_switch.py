@@ -44,6 +44,28 @@ def test_what_a_policy_would_have_to_see_and_is_not_there_is_named(env):
         pilot.check(env.stages)
 
 
+@pytest.mark.parametrize(
+    ("setting", "value", "sentence"),
+    [
+        (
+            "env.dt_s",
+            0.01,
+            r"pilot\.near: the policy was trained with env\.dt_s=0\.01, but it would",
+        ),
+        ("action.thrust_range_g", [0.2, 1.8], r"pilot\.near: the policy was trained with another"),
+        ("action.rate_limit_radps", [2.0, 2.0, 1.0], "rate_limit_radps.*; set the same, or fly"),
+    ],
+)
+def test_actions_of_another_meaning_are_refused(env, setting, value, sentence):
+    pilot = FolderPilot(folder=str(OBSTACLES), own_observation=True).named("near")
+    pilot.check(env.stages)
+    OmegaConf.update(pilot.policy.config, "action.longest_delay_steps", 5)
+    pilot.check(env.stages)
+    OmegaConf.update(pilot.policy.config, setting, value)
+    with pytest.raises(ConfigError, match=sentence):
+        pilot.check(env.stages)
+
+
 class Always(Pilot):
     """Gives one action, whatever it sees."""
 
