@@ -163,9 +163,14 @@ class Action(Term):
 
 
 class Sensor(Term):
-    """Something measured from the state and the map; several observations may share it."""
+    """Something measured from the state and the map; several observations may share it.
+
+    What a sensor that `judges` gives, metrics and terminations read: in an evaluation it has the
+    numbers of the evaluation, whatever the policy was trained with.
+    """
 
     group = "sensor"
+    judges: ClassVar[bool] = False
 
 
 class ObservationOptions(TypedDict, total=False):

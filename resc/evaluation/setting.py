@@ -7,6 +7,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from resc.build import ALLOWED, locate
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 from resc.evaluation.courses import Course
@@ -21,8 +22,6 @@ SCENES = names(lambda group: group.owner == "scene")
 """Groups taken from it where a scene brings its own routes, too."""
 OWN = names(lambda g: g.owner == "evaluation" and g.stage and EVALUATE in g.runs)
 """Terms that are the evaluation's, whatever flies; the policy's sensors join its own."""
-MEASURING = ("limit_violations", "surface_clearance")
-"""Sensors that metrics and terminations read: the evaluation's, not those of the training."""
 RUN = ("allowed_targets", "device", "compile", "seed", "recorder")
 Settings = Mapping[str, Any]
 
@@ -57,8 +56,9 @@ class Rules:
         rules = trained if self.own_routes else asked
         settings |= {group: rules[group] for group in SCENES}
         settings |= {group: asked[group] for group in OWN}
-        measuring = {name: asked["sensor"][name] for name in MEASURING if name in asked["sensor"]}
-        settings["sensor"] = {**asked["sensor"], **(trained["sensor"] or {}), **measuring}
+        allowed = (*ALLOWED, *asked["allowed_targets"])
+        judging = {n: node for n, node in asked["sensor"].items() if _judges(n, node, allowed)}
+        settings["sensor"] = {**asked["sensor"], **(trained["sensor"] or {}), **judging}
         return settings
 
     @cached_property
@@ -94,3 +94,10 @@ class Rules:
         layout = concatenate([course.layout for course in courses])
         setup = among(layout, self.stages, run["device"])
         return setup.env(len(layout), compiled=run["compile"], seed=run["seed"], in_order=True)
+
+
+def _judges(name: object, node: object, allowed: Sequence[str]) -> bool:
+    """Whether a sensor is the evaluation's, not the training's."""
+    if not isinstance(node, Mapping) or "_target_" not in node:
+        return False  # `build` refuses it with its reason
+    return bool(getattr(locate(str(node["_target_"]), f"sensor.{name}", allowed), "judges", False))

@@ -111,7 +111,7 @@ def require_same_action(
         )
 
 
-def _numbers(action: Action) -> dict[str, object]:
+def _numbers(action: Action) -> Mapping[str, object]:
     """What an action term was made with; how long commands may wait is the vehicle's."""
     own = {name: value for name, value in vars(action).items() if isinstance(value, float | tuple)}
     return own | {name: buffer.tolist() for name, buffer in action.named_buffers()}

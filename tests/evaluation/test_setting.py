@@ -39,6 +39,14 @@ def test_limits_are_the_evaluations_and_senses_the_policys(evaluation, stored):
     assert sensors["euler"] == {"_target_": "noisy"}
 
 
+def test_a_sensor_of_any_name_that_judges_is_the_evaluations(evaluation, stored):
+    own, altered = evaluation(), stored.copy()
+    own["sensor"]["mine"] = {**own["sensor"]["limit_violations"], "speed_mps": 4.0}
+    altered["sensor"]["mine"] = {**own["sensor"]["mine"], "speed_mps": 9.0}
+    sensors = Rules(own, altered, own_routes=False).settings["sensor"]
+    assert sensors["mine"]["speed_mps"] == 4.0
+
+
 def test_part_named_on_the_command_line_replaces_the_policys(evaluation, stored):
     chosen = evaluation("dynamics=lag_and_drag")
     rules = Rules(chosen, stored, own_routes=False).settings

@@ -27,6 +27,7 @@ class LimitViolations(Sensor):
     reads = (keys.VELOCITY_W, keys.ACCELERATION_W, keys.EULER)
     writes = (keys.LIMIT_VIOLATIONS,)
     eases = True
+    judges = True
 
     def __init__(
         self,

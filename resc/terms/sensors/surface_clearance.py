@@ -17,6 +17,7 @@ class SurfaceClearance(Sensor):
 
     reads = (keys.POSITION_W, keys.SCENE_INDEX, keys.BOXES_W, keys.PILLARS_W)
     writes = (keys.SURFACE_CLEARANCE,)
+    judges = True
 
     def compute(
         self,
