@@ -107,7 +107,8 @@ class EvaluateSchema(RunSchema):
         scene_files: First flights of each scene written as 3-D scenes, beside the best and the
             worst; 0 for none. There are none without a recorder.
         references: File with the references that flights are measured by, as
-            `python -m resc.evaluation.bound` stores them; null is docs/results/references.json.
+            `python -m resc.evaluation.bound` stores them; null is what comes with RESC, and, where
+            it is a wheel, references.json of the working folder.
         replay: FILE#EPISODE of a recording to fly again instead; FILE may be a folder or a pattern.
         seed: Of starts and random scenes; training never uses this one.
         compile: Compile the step; pays off only for many thousand flights.
@@ -135,7 +136,8 @@ class BoundSchema(RunSchema):
         scenes: Files of conf/scene instead: a list, or the name of one.
         maps: Maps of each scene that draws them, the first of those of an evaluation.
         flights: As in an evaluation; matters only where there is a map for every flight.
-        references: File that keeps them; null is docs/results/references.json.
+        references: File that keeps them; null is docs/results/references.json, or, where RESC is a
+            wheel, references.json of the working folder.
         missing: Only maps that have none yet; otherwise the better of old and new is kept.
         seed: Of random scenes, as in an evaluation.
     """

@@ -25,6 +25,7 @@ from resc.errors import ConfigError, PlanningError
 from resc.evaluation.courses import drawn
 from resc.evaluation.reference_picture import draw_references
 from resc.evaluation.references import (
+    OWN,
     Reference,
     crossings,
     digest,
@@ -44,6 +45,7 @@ from resc.settings import check_settings
 from resc.starting.composed import compose_scenes, given
 from resc.starting.launch import launch_here
 
+REPORT, PICTURE = "report.md", "bound.png"
 HEADER = ("scene", "path [m]", "bound [s]", "energy", "smooth [s]", "energy", "solved in [s]")
 NOTE = """\
 Bound: the fastest flight found for a point mass, from rest to within 0.5 m of the goal. Smooth: the
@@ -177,9 +179,9 @@ def bound(tasks: list[Task], stored: Path | None, folder: Path) -> str:
         print(f"{name}: " + "; ".join(notes + outdone(reference, found[-1])), flush=True)
     if not found:
         raise PlanningError(failed[0])
-    draw_references(found, folder / "bound.png")
+    draw_references(found, folder / PICTURE)
     report = f"{aligned(rows)}\n{NOTE}"
-    (folder / "report.md").write_text(report)
+    (folder / REPORT).write_text(report)
     figures = {
         "scenes": {
             r.scene: {
@@ -199,7 +201,8 @@ def bound(tasks: list[Task], stored: Path | None, folder: Path) -> str:
     if failed:
         more = f" (and {len(failed) - 1} more)" if failed[1:] else ""
         raise PlanningError(f"{failed[0]}{more}; the other {len(found)} are stored.")
-    return f"{report}\nreport    {folder / 'report.md'}\npicture   {folder / 'bound.png'}"
+    left = {"references": stored or OWN, "report": folder / REPORT, "picture": folder / PICTURE}
+    return "\n".join([report, *(f"{name:<12}{path}" for name, path in left.items())])
 
 
 def _cells(reference: Reference) -> list[str]:

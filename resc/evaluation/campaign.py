@@ -25,7 +25,7 @@ from resc.evaluation.by_pilot import (
 )
 from resc.evaluation.commanded import Dial, commanded_scenes, dial_of, require_own, turned
 from resc.evaluation.courses import lay_out
-from resc.evaluation.references import STORED, limits_of, read_references
+from resc.evaluation.references import files_of, limits_of, read_references
 from resc.evaluation.setting import Rules
 from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import summary
@@ -115,7 +115,8 @@ class Evaluation:
         made["scenes_flown"] = {name: dict(node) for name, node in self.scenes.items()}
         made["flown_by"] = {pilot.name: dict(pilot.facts()) for pilot in self.pilots}
         text = json.dumps(made, sort_keys=True, default=str).encode()
-        files = [Path(config["policy"]) / POLICY, Path(config["references"] or STORED)]
+        named = Path(config["references"]) if config["references"] else None
+        files = [Path(config["policy"]) / POLICY, *files_of(named)]
         return hashlib.sha256(
             b"".join([text, *(path.read_bytes() if path.is_file() else b"" for path in files)])
         ).hexdigest()

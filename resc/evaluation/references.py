@@ -19,14 +19,16 @@ from torch import Tensor
 
 from resc.build import build
 from resc.errors import ConfigError
-from resc.places import RESULTS
+from resc.places import INSTALLED, RESULTS
 from resc.planning.time_optimal import FASTEST, SMOOTH, Crossing, Limits
 from resc.planning.trajectory import Trajectory
 from resc.run_folder import replacing
 from resc.scenes.layout import Layout
 
 STORED = RESULTS / "references.json"
-"""Where references are kept unless `references` names another file."""
+"""The references that come with RESC."""
+OWN = Path("references.json") if INSTALLED else STORED
+"""Where new ones are kept unless `references` names another file; a wheel is not written to."""
 SCENE_DIGITS, CONTROL_DIGITS = 4, 7
 """Decimals of scenes [m], by which they are told apart, and of control points [m].
 
@@ -107,14 +109,38 @@ def digest(crossing: Crossing) -> str:
 
 
 def read_references(path: Path | None = None) -> dict[str, Reference]:
-    """The stored references by digest; none if nothing has been stored at the usual place.
+    """The stored references by digest; without a file, those of RESC and the user's own.
 
     Raises:
-        ConfigError: The file is not there, or it is cut or damaged.
+        ConfigError: The file is not there, or one is cut or damaged.
     """
-    stored = path or STORED
-    if path is None and not stored.exists():
-        return {}
+    if path is not None:
+        return _read(path)
+    found: dict[str, Reference] = {}
+    for stored in filter(Path.exists, files_of()):
+        for name, reference in _read(stored).items():
+            found[name] = better(found[name], reference) if name in found else reference
+    return found
+
+
+def files_of(path: Path | None = None) -> tuple[Path, ...]:
+    """The files that references are read from."""
+    return tuple(dict.fromkeys((STORED, OWN))) if path is None else (path,)
+
+
+def better(one: Reference, other: Reference) -> Reference:
+    """Of two references of the same scene, the better of each flight, the first if they are equal.
+
+    Better is what minimises more: a local optimum found earlier may be the lower one.
+    """
+    flights = {
+        name: min(getattr(one, name), getattr(other, name), key=lambda f, w=weight: f.cost(w))
+        for name, weight in WEIGHTS.items()
+    }
+    return replace(other, **flights)
+
+
+def _read(stored: Path) -> dict[str, Reference]:
     try:
         content = json.loads(stored.read_text())
         if content["format"] != FORMAT:
@@ -122,8 +148,8 @@ def read_references(path: Path | None = None) -> dict[str, Reference]:
         found = {name: _reference(entry) for name, entry in content["references"].items()}
     except FileNotFoundError:
         raise ConfigError(
-            f"references is '{path}', which does not exist; compute it with: "
-            f"python -m resc.evaluation.bound references={path}"
+            f"references is '{stored}', which does not exist; compute it with: "
+            f"python -m resc.evaluation.bound references={stored}"
         ) from None
     except (KeyError, TypeError, ValueError) as error:
         raise ConfigError(
@@ -136,17 +162,16 @@ def read_references(path: Path | None = None) -> dict[str, Reference]:
 def keep(reference: Reference, path: Path | None = None) -> Reference:
     """Stores a reference beside those that are there; of the same scene, the better of each flight.
 
-    Better is what minimises more: a local optimum found earlier may be the lower one. Returns it as
-    stored, that is, rounded.
+    Returns it as stored, that is, rounded.
     """
-    stored = path or STORED
-    kept = read_references(stored) if stored.exists() else {}
-    flights = {name: _rounded(getattr(reference, name)) for name in WEIGHTS}
-    if earlier := kept.get(reference.digest):
-        for name, weight in WEIGHTS.items():
-            pair = (getattr(earlier, name), flights[name])
-            flights[name] = min(pair, key=lambda flight: flight.cost(weight))
-    reference = kept[reference.digest] = replace(reference, **flights)
+    stored = path or OWN
+    kept = _read(stored) if stored.exists() else {}
+    rounded = {name: _rounded(getattr(reference, name)) for name in WEIGHTS}
+    reference = replace(reference, **rounded)
+    known = kept if path is not None else read_references()
+    if earlier := known.get(reference.digest):
+        reference = better(earlier, reference)
+    kept[reference.digest] = reference
     lines = [
         f'"{name}":{json.dumps(_entry(entry), separators=(",", ":"))}'
         for name, entry in sorted(kept.items())

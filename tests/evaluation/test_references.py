@@ -15,6 +15,7 @@ from resc.evaluation.references import (
     Reference,
     crossings,
     digest,
+    files_of,
     keep,
     limits_of,
     outdone,
@@ -139,6 +140,28 @@ def test_reference_is_read_as_it_was_kept_beside_the_others(made_up, tmp_path):
     np.testing.assert_array_equal(
         found[made_up.digest].fastest.control_m, kept[0].fastest.control_m
     )
+
+
+def test_an_installed_resc_keeps_references_beside_those_that_came_with_it(
+    made_up, tmp_path, monkeypatch
+):
+    """Of a scene that both have, the better flight of each kind counts, and is stored."""
+    shipped, own = tmp_path / "shipped.json", tmp_path / "references.json"
+    elsewhere = replace(made_up, crossing=replace(made_up.crossing, goal_m=(5.0, 1.0, 1.0)))
+    for reference in (made_up, elsewhere):
+        keep(reference, shipped)
+    before = shipped.read_bytes()
+    monkeypatch.setattr("resc.evaluation.references.STORED", shipped)
+    monkeypatch.setattr("resc.evaluation.references.OWN", own)
+    slower = replace(made_up.fastest, duration_s=2 * made_up.fastest.duration_s)
+    mine = replace(made_up, crossing=replace(made_up.crossing, goal_m=(6.0, 1.0, 1.0)))
+    assert keep(mine).digest == mine.digest
+    assert keep(replace(made_up, fastest=slower)).fastest.duration_s == made_up.fastest.duration_s
+    assert shipped.read_bytes() == before
+    assert set(read_references(own)) == {mine.digest, made_up.digest}
+    assert set(read_references()) == {mine.digest, made_up.digest, elsewhere.digest}
+    assert files_of() == (shipped, own)
+    assert files_of(own) == (own,)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 9}', '{"format": 1}'])
