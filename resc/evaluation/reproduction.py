@@ -6,6 +6,7 @@
 training seed. Exit status 0 if the run's rate lies in their prediction interval.
 """
 
+import argparse
 import json
 import math
 import statistics
@@ -70,10 +71,15 @@ def compare(folder: Path, results: Mapping[str, Any]) -> tuple[bool, str]:
 
 def main() -> None:
     """Compares the run named on the command line; its status is the answer."""
-    if len(sys.argv) != 2:
-        sys.exit("usage: python -m resc.evaluation.reproduction RUN_FOLDER")
+    parser = argparse.ArgumentParser(
+        prog="python -m resc.evaluation.reproduction",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("run", type=Path, help="folder of a finished run")
+    given = parser.parse_args()
     try:
-        inside, sentence = compare(Path(sys.argv[1]), json.loads(STORED.read_text()))
+        inside, sentence = compare(given.run, json.loads(STORED.read_text()))
     except RescError as error:
         sys.exit(f"error: {error}")
     print(sentence)

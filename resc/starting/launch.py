@@ -301,6 +301,8 @@ def _explain(error: Exception, config_name: str, arguments: Sequence[str]) -> st
         if (CONF / group).is_dir():
             known = [path.stem for path in (CONF / group).glob("*.yaml")]
             return f"{group} has no '{name}'.{nearest(name, known)}"
+    if word := re.search(r"Error parsing override '([^=']*)'\s*missing EQUAL", text):
+        return f"'{word[1]}' is no setting; give a name and a value, such as seed=1."
     cause = str(error.__cause__ or "").partition("\n")[0]
     return " ".join(f"{text}. {cause}".split())
 

@@ -28,7 +28,7 @@ from resc.process import prepare_process
 from resc.run_folder import LATEST, latest, summary_of
 from resc.settings import check_settings
 from resc.starting.composed import compose_scenes, given, suites
-from resc.starting.launch import answering, launch_here
+from resc.starting.launch import SHOWING, answering, launch_here
 from resc.studies.score_report import Score, read_score, write_scores
 from resc.studies.study import Sweep, read_sweep
 
@@ -126,8 +126,13 @@ def as_evaluation(arguments: Sequence[str]) -> list[str]:
     folders = [text for text in arguments if "=" not in text and not text.startswith(("-", "~"))]
     if any(text in ("-m", "--multirun") for text in arguments):
         raise ConfigError("All runs of the sweep are flown anyway; leave out -m.")
-    if any(text in ("-h", "--help", "--cfg", "-c") for text in arguments):
-        sys.exit(__doc__)
+    if any(text in ("-h", "--help") for text in arguments):
+        print(__doc__)
+        sys.exit()
+    if shown := [text for text in arguments if text in SHOWING]:
+        raise ConfigError(
+            f"{shown[0]} shows settings, and this flies; leave it out, or give it to evaluate.py."
+        )
     if len(folders) != 1:
         raise ConfigError(f"Name one folder of a sweep, {len(folders)} are named: {USAGE}")
     rest = [text for text in arguments if text not in folders]

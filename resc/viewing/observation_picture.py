@@ -3,8 +3,8 @@
 python -m resc.viewing.observation_picture [folder]
 """
 
+import argparse
 import math
-import sys
 from pathlib import Path
 
 import matplotlib as mpl
@@ -22,9 +22,10 @@ from resc.maps.cells import shape_of
 from resc.maps.constants import OCCUPIED_M
 from resc.maps.distance_transform import distance_transform
 from resc.math.rotation import quaternion_from_euler
-from resc.places import CONF, HOME
+from resc.places import CONF, HOME, INSTALLED
 from resc.scenes.layout import rasterize
 from resc.sights import Shape
+from resc.starting.launch import answering
 from resc.term import Context, Observation
 from resc.viewing.colours import BACKGROUND, FRAME, OBSTACLE, PLAN, TEXT
 from resc.viewing.map_picture import SHADE_M
@@ -209,6 +210,17 @@ def _inset(axes: Axes, values: Float[Tensor, " b"]) -> None:
     inset.set(xticks=[], yticks=[], title="distances [m]")
 
 
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m resc.viewing.observation_picture",
+        description="Pictures of what each obstacle observation sees of one pose.",
+    )
+    usual = Path("observations") if INSTALLED else HOME / "docs/observations"
+    parser.add_argument("folder", type=Path, nargs="?", default=usual, help="of the pictures")
+    print(*draw_all(parser.parse_args().folder), sep="\n")
+
+
 if __name__ == "__main__":
-    target = Path(sys.argv[1]) if len(sys.argv) > 1 else HOME / "docs/observations"
-    print(*draw_all(target), sep="\n")
+    with answering():
+        main()

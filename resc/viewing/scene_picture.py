@@ -4,7 +4,7 @@ python -m resc.viewing.scene_picture docs/planned.png            conf/scene/plan
 python -m resc.viewing.scene_picture mine.png my/scene.yaml 6    another file, examples of each
 """
 
-import sys
+import argparse
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,13 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle
 
 from resc.build import build, load_config
+from resc.errors import ConfigError
 from resc.math.sampling import generator_for
-from resc.places import CONF, HOME
+from resc.places import CONF, HOME, INSTALLED
 from resc.planning.route import RoutePlanner
 from resc.scenes.layout import Layout, sampled
 from resc.setup import scene_of
+from resc.starting.launch import answering
 from resc.viewing.colours import BACKGROUND, DASHES, PLAN, TEXT
 from resc.viewing.map_picture import draw_obstacles
 
@@ -28,6 +30,7 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 EXAMPLES, EDGE_INCHES = 5, 2.0
+ALLOW = "prefix of your own package that the scene's file may name, such as mypackage."
 WHOLE = {"points": 1000, "on_the_way": 0.0}
 """The whole route from the start, whatever part of it an episode takes."""
 
@@ -71,9 +74,28 @@ def _draw_one(axes: Axes, layout: Layout, number: int) -> None:
     axes.set_title(f"{radius:.2f} m", fontsize=7, color=TEXT, pad=2)
 
 
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m resc.viewing.scene_picture",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    usual = Path("planned.png") if INSTALLED else HOME / "docs/planned.png"
+    parser.add_argument("picture", type=Path, nargs="?", default=usual, help="file to draw")
+    parser.add_argument("scene", type=Path, nargs="?", default=CONF / "scene/planned.yaml")
+    parser.add_argument("examples", type=int, nargs="?", default=EXAMPLES, help="of each family")
+    parser.add_argument("--allow", action="append", default=[], metavar="PREFIX", help=ALLOW)
+    given = parser.parse_args()
+    if given.examples < 1:
+        parser.error(f"examples is {given.examples}; expected a whole number from 1 on.")
+    scene = load_config(given.scene)
+    if not isinstance(scene.get("families"), Mapping):
+        raise ConfigError(f"{given.scene} has no families; give the file of a planned scene.")
+    draw(given.picture, scene, given.examples, given.allow)
+    print(given.picture)
+
+
 if __name__ == "__main__":
-    target, *more = sys.argv[1:] or [str(HOME / "docs/planned.png")]
-    file = Path(more[0]) if more else CONF / "scene/planned.yaml"
-    opted_in = more[2:]
-    draw(Path(target), load_config(file), int(more[1]) if len(more) > 1 else EXAMPLES, opted_in)
-    print(target)
+    with answering():
+        main()
