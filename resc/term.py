@@ -70,6 +70,8 @@ class Term(TensorDictModuleBase):
     Uniform numbers in [0, 1) per environment reach `compute` as its last argument: `draws` of them
     for terms of the reset, `step_draws`, at every step and reset, for all others.
 
+    A term that calls other code than torch says so, `compiles = False`, and flies uncompiled.
+
     A term that `eases` can be made easier: with `difficulty: name` in its configuration, the
     difficulty of that name, [n, 1] in [0, 1], follows all other arguments of `compute`.
     """
@@ -85,6 +87,7 @@ class Term(TensorDictModuleBase):
     step_draws: int = 0
     name: str = ""
     eases: ClassVar[bool] = False
+    compiles: ClassVar[bool] = True
     difficulty: str | None = None
 
     def bind(self, context: Context) -> None:

@@ -74,6 +74,7 @@ class QuadrotorEnv(EnvBase):
         self._step_function = stages.step
         self._restart_function = self._restart_rows
         if compiled:
+            _require_torch(stages)
             self._step_function = torch.compile(stages.step, fullgraph=True, dynamic=False)
             self._restart_function = torch.compile(
                 self._restart_rows, fullgraph=True, dynamic=False
@@ -363,3 +364,12 @@ def require_untransformed(env: EnvBase) -> None:
 def layout_of(stages: Stages) -> Sequence[tuple[str, int]]:
     """Names and widths of the observation's blocks: what a policy must agree with."""
     return tuple((term.name, term.width) for term in stages.terms.observations)
+
+
+def _require_torch(stages: Stages) -> None:
+    """Refuses to compile what calls other code than torch."""
+    if foreign := [term.path for term in stages.terms if not term.compiles]:
+        raise ConfigError(
+            f"{', '.join(foreign)} cannot be compiled: it calls a simulator outside of torch; set "
+            "compile=false, or choose another."
+        )
