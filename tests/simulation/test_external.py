@@ -125,7 +125,7 @@ def test_mujoco_flies_the_same_way_as_our_rigid_body(context):
         ours, theirs = fly(own, ours, command, 1), fly(other, theirs, command, 1)
     assert ours[3].abs().max() > 0.8
     for expected, found in zip(ours, theirs, strict=True):
-        assert_close(found, expected, rtol=0, atol=2e-3)
+        assert_close(found, expected, rtol=0, atol=5e-3)
 
 
 def test_rotorpys_own_loop_brings_63_percent_of_a_rate_step_in_50_ms(context):
