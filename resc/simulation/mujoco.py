@@ -73,7 +73,7 @@ class MuJoCo(ExternalSimulator):
         half_height_m: Positive,
         density_kgpm3: NotNegative = 0.0,
         gravity_mps2: Positive = 9.80665,
-        integrator: str = "RK4",
+        integrator: str = "implicitfast",
         substeps: Annotated[int, Within(1, 1000)] = 8,
     ) -> None:
         super().__init__(substeps=substeps)

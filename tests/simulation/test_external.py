@@ -120,12 +120,12 @@ def test_mujoco_flies_the_same_way_as_our_rigid_body(context):
     hover = MASS * 9.8 / 4
     commands = hover + 0.3 * torch.randn(25, COUNT, 4, generator=torch.Generator().manual_seed(3))
     ours = theirs = start(thrust=rows(*[hover] * 4), position=rows(0.0, 0.0, 3.0))
-    other = simulator(context, "mujoco", gravity_mps2=9.8)
+    other = simulator(context, "mujoco", gravity_mps2=9.8, substeps=32)
     for command in commands:
         ours, theirs = fly(own, ours, command, 1), fly(other, theirs, command, 1)
     assert ours[3].abs().max() > 0.8
     for expected, found in zip(ours, theirs, strict=True):
-        assert_close(found, expected, rtol=0, atol=5e-3)
+        assert_close(found, expected, rtol=0, atol=2e-3)
 
 
 def test_rotorpys_own_loop_brings_63_percent_of_a_rate_step_in_50_ms(context):
