@@ -80,7 +80,9 @@ def test_without_thrust_a_vehicle_falls_freely(context, name):
     position, velocity, *_ = fly(simulator(context, name), state, rows(0.0, 0.0, 0.0, 0.0), 25)
     g = GRAVITY[name]
     assert_close(velocity, rows(1.0, -2.0, 0.5 - g * 0.5), rtol=0, atol=1e-5)
-    assert_close(position, rows(0.5, 4.0, 9.25 - g * 0.125), rtol=0, atol=1e-5)
+    # MuJoCo's step is semi-implicit: half a substep of 2.5 ms ahead in the velocity gained
+    late = g * 0.5 * 0.00125 if name == "mujoco" else 0.0
+    assert_close(position, rows(0.5, 4.0, 9.25 - g * 0.125 - late), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", SIMULATORS)
