@@ -11,6 +11,7 @@ from typing import Literal
 from resc.term import (
     Action,
     Curriculum,
+    Estimator,
     Metric,
     Observation,
     Randomization,
@@ -65,6 +66,7 @@ GROUPS = (
     Group("task", owner="scene", needed=True, compared=True),
     Group("scene", compared=True),
     Group("sensor", Sensor, stage="sensors", several=True),
+    Group("estimator", Estimator, stage="estimator", compared=True),
     Group(
         "observation",
         Observation,

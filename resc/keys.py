@@ -152,6 +152,48 @@ LIMIT_VIOLATIONS = _declare(
     "1 for each of speed, acceleration, roll, pitch over its limit",
 )
 
+MOCAP_POSITION_W = _declare(
+    ("sensor", "mocap_position_w"), (3,), "m", "last position that motion capture delivered"
+)
+MOCAP_ATTITUDE_WB = _declare(
+    ("sensor", "mocap_attitude_wb"), (4,), "-", "last attitude that motion capture delivered"
+)
+MOCAP_FRESH = _declare(
+    ("sensor", "mocap_fresh"),
+    (1,),
+    "-",
+    "motion capture delivered a frame in the last step",
+    torch.bool,
+)
+IMU_SPECIFIC_FORCE_B = _declare(
+    ("sensor", "imu_specific_force_b"),
+    (3,),
+    "m/s^2",
+    "accelerometer: its mean over the last step, in the body frame of the middle of the step",
+)
+IMU_MEAN_RATE_B = _declare(
+    ("sensor", "imu_mean_rate_b"), (3,), "rad/s", "gyroscope: its mean over the last step"
+)
+IMU_BODY_RATE_B = _declare(
+    ("sensor", "imu_body_rate_b"), (3,), "rad/s", "gyroscope: its reading now"
+)
+
+ESTIMATED_POSITION_W = _declare(("estimate", "position_w"), (3,), "m", "estimate of the position")
+ESTIMATED_VELOCITY_W = _declare(("estimate", "velocity_w"), (3,), "m/s", "estimate of the velocity")
+ESTIMATED_ATTITUDE_WB = _declare(
+    ("estimate", "attitude_wb"), (4,), "-", "estimate of the attitude, body to world"
+)
+ESTIMATED_BODY_RATE_B = _declare(
+    ("estimate", "body_rate_b"), (3,), "rad/s", "estimate of the angular velocity"
+)
+ESTIMATES = {
+    POSITION_W: ESTIMATED_POSITION_W,
+    VELOCITY_W: ESTIMATED_VELOCITY_W,
+    ATTITUDE_WB: ESTIMATED_ATTITUDE_WB,
+    BODY_RATE_B: ESTIMATED_BODY_RATE_B,
+}
+"""What is estimated: the key of the truth, and that of the estimate, which the policy sees."""
+
 TERMINATED = _declare(("terminated",), (1,), "-", "the episode ended in its own right", torch.bool)
 TRUNCATED = _declare(("truncated",), (1,), "-", "the episode was cut by the clock", torch.bool)
 DONE = _declare(("done",), (1,), "-", "terminated or truncated", torch.bool)

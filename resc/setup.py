@@ -155,6 +155,8 @@ def _build_group(group: Group, node: Any, allowed: Iterable[str]) -> Any:
     assert group.kind is not None
     if group.several:
         return build_terms(node, group.name, group.kind, allowed)
+    if not node and not group.needed:
+        return None
     return build(node, group.name, allowed=allowed, kind=group.kind).named(group.name)
 
 

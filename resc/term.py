@@ -176,6 +176,42 @@ class Sensor(Term):
     judges: ClassVar[bool] = False
 
 
+class Device(Sensor):
+    """A device on the vehicle or beside it: its readings of the true state, noise and all.
+
+    What it reads now stays in the world until its next reading, and estimators make the best of it.
+    In an evaluation, devices are the evaluation's. Other sensors are functions of the state:
+    observations read those of the estimated one.
+    """
+
+    judges = True
+    latency_s: float = 0.0
+
+    @property
+    def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Its readings."""
+        return self.outputs
+
+
+class Estimator(Term):
+    """Estimates the state, for the policy to see: what it writes begins with `keys.ESTIMATES`.
+
+    Rewards, terminations, metrics and what the value function alone sees read the true state.
+    An episode begins with the `compute` of its step 0, in which no time has passed.
+    """
+
+    writes = tuple(keys.ESTIMATES.values())
+
+    @property
+    def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The estimate, and whatever else it writes."""
+        return self.outputs
+
+    def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
+        """The estimate before its first `compute`: the truth."""
+        return {estimate: tensors[truth] for truth, estimate in keys.ESTIMATES.items()}
+
+
 class ObservationOptions(TypedDict, total=False):
     """The arguments of `Observation`, which an observation with its own takes as `**options`."""
 

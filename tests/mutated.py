@@ -149,7 +149,8 @@ def cases_of(script: str, settings: dict[str, Any]) -> Iterator[Case]:
 def load(group: str, name: str) -> dict[str, Any]:
     """What a file of conf/ says, with the files of its group that it is made of; to be copied."""
     node = OmegaConf.load(CONF / group / f"{name}.yaml")
-    parts = [part for part in node.pop("defaults", []) if part != "_self_"]
+    own = [part for part in node.pop("defaults", []) if isinstance(part, str)]  # not of others
+    parts = [part for part in own if part != "_self_"]
     whole = OmegaConf.merge(*(load(group, part) for part in parts), node)
     return OmegaConf.to_container(whole)
 

@@ -70,7 +70,7 @@ def parts(load_part):
     def make(group, name):
         node = load_part(group, name)
         if group in SINGLES:
-            terms = [build(node, group).named(group)]
+            terms = [build(node, group).named(group)] if node else []
         elif group == "task":
             terms = [build(plain(node[part]), f"task.{part}").named(part) for part in TASK]
         else:
@@ -98,7 +98,10 @@ def every_list():
 
 @pytest.fixture(scope="module")
 def flight(make_env):
-    """All tensors there are in the middle of a step, of six environments in flight."""
+    """All tensors there are in the middle of a step, of six environments in flight.
+
+    What an estimator remembers is as in its first step.
+    """
     env = make_env(f"num_envs={COUNT}", *every_list())
     generator = torch.Generator().manual_seed(0)
     env.restart(torch.arange(COUNT))
@@ -115,10 +118,10 @@ def flight(make_env):
         terms.rate_loop,
         terms.dynamics,
         terms.task,
-        *terms.sensors,
+        *terms.measuring,
         *terms.terminations,
     ):
-        term.run(tensors)
+        term.run(tensors, *draw(term))
     flags = torch.arange(COUNT).unsqueeze(-1)
     return tensors | {TERMINATED: flags % 2 == 0, TRUNCATED: flags % 3 == 1, DONE: flags % 6 != 3}
 
@@ -138,6 +141,8 @@ def run(term, flight, rows=None):
     shared = {key for key, declared in DECLARED.items() if declared.shared}
     chosen = torch.arange(COUNT) if rows is None else rows
     inputs = {key: value if key in shared else value[chosen] for key, value in flight.items()}
+    if isinstance(term, kinds.Estimator):
+        inputs = {**term.begin(inputs), **inputs}
     inputs |= {
         key: torch.full((len(chosen), 1), term.start)
         for key in term.outputs
@@ -226,7 +231,15 @@ def test_one_environment_alone_gives_what_it_gives_among_others(parts, flight, g
             assert_close(alone[key], value[2:3], atol=1e-6, rtol=1e-6)
 
 
-FLYING = ["obstacle_observation", "task", "action", "rate_loop", "dynamics", "vehicle"]
+FLYING = [
+    "obstacle_observation",
+    "task",
+    "action",
+    "rate_loop",
+    "dynamics",
+    "vehicle",
+    "estimator",
+]
 ENVIRONMENTS = [
     pytest.param(every_list(), id="every part of every list"),
     *(pytest.param([f"{g}={n}"], id=f"{g}/{n}") for g in FLYING for n in names(g)),

@@ -1,6 +1,6 @@
 """The control step and the reset as pure functions of tensors, assembled from terms."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -14,6 +14,8 @@ from resc.math.rotation import heading
 from resc.term import (
     Action,
     Context,
+    Device,
+    Estimator,
     Metric,
     Observation,
     Randomization,
@@ -33,7 +35,7 @@ class Terms:
     """Everything an environment is made of, in the order it runs.
 
     Observations in the order of the policy's input; `critic_observations` are seen by the value
-    function alone.
+    function alone. Without an estimator, the policy sees the true state.
     """
 
     action: Action
@@ -48,6 +50,12 @@ class Terms:
     randomizations: Sequence[Randomization] = field(default_factory=tuple)
     metrics: Sequence[Metric] = field(default_factory=tuple)
     critic_observations: Sequence[Observation] = field(default_factory=tuple)
+    estimator: Estimator | None = None
+
+    @property
+    def measuring(self) -> list[Term]:
+        """The sensors, then what estimates the state from them."""
+        return [*self.sensors, *([self.estimator] if self.estimator else [])]
 
     @property
     def observed(self) -> list[Observation]:
@@ -60,7 +68,7 @@ class Terms:
         yield self.initial_state
         yield from (self.action, self.rate_loop, self.dynamics, self.task)
         for stage in (
-            self.sensors,
+            self.measuring,
             self.terminations,
             self.rewards,
             self.metrics,
@@ -121,6 +129,9 @@ class Stages(nn.Module):
         if terms.metrics:
             wanted.add(previous(keys.FINISHED))
         self.memory = sorted(wanted)
+        self.functions = [t for t in terms.sensors if not isinstance(t, Device)]
+        self.devices = [t for t in terms.measuring if isinstance(t, Device | Estimator)]
+        self.functions_seen = sensors_read_by(terms.observations, self.functions)
         self.outcomes = (SUCCESS, *(term.name for term in terms.terminations if not term.success))
         self._check_wiring()
 
@@ -166,7 +177,7 @@ class Stages(nn.Module):
             terms.rate_loop,
             terms.dynamics,
             terms.task,
-            *terms.sensors,
+            *terms.measuring,
             *terms.terminations,
         ):
             _run(term, tensors, drawn)
@@ -219,6 +230,7 @@ class Stages(nn.Module):
                 tensors[key] = zero.new_full((count, *_shape(key, term)), value)
             tensors |= term.begin(tensors)
         self._require_begun(tensors)
+        self._measure_first(tensors, drawn)
         return self.begin(tensors, shared, drawn)
 
     def begin(
@@ -233,14 +245,14 @@ class Stages(nn.Module):
         """The world and all that is observed of it, `first` in an episode or later.
 
         Later, `world` may hold what was remembered of the step before, under `memory`; by default
-        that is as now.
+        that is as now. What devices read, and what is estimated from it, is in the world.
         """
         tensors = {**world, **shared}
         for key in self.memory:
             tensors.setdefault(key, tensors[key[1:]])
         for term in self.terms.observed if first else ():
             tensors.pop(term.outputs[0], None)  # an episode that begins has no past
-        for term in self.terms.sensors:
+        for term in self.functions:
             if all(key in tensors for key in term.reads):
                 _run(term, tensors, drawn)
         observation = self._observe(tensors, drawn)
@@ -278,12 +290,37 @@ class Stages(nn.Module):
         tensors[("outcome",)] = torch.where(finished, 0, outcome)
 
     def _observe(self, tensors: World, drawn: Mapping[str, Tensor]) -> Tensor:
-        """All blocks side by side, the policy's first [n, width]."""
-        if self.context.observation_frame == "heading":
-            tensors[keys.AHEAD] = heading(tensors[keys.ATTITUDE_WB])
-        for term in self.terms.observed:
+        """All blocks side by side, the policy's first [n, width]: it sees the estimated state."""
+        believed = self._believed(tensors, drawn)
+        blocks = []
+        for seen, terms in (
+            (believed, self.terms.observations),
+            (tensors, self.terms.critic_observations),
+        ):
+            if self.context.observation_frame == "heading":
+                seen[keys.AHEAD] = heading(seen[keys.ATTITUDE_WB])
+            for term in terms:
+                _run(term, seen, drawn)
+                blocks.append(seen[term.outputs[0]])
+        if believed is not tensors:
+            tensors |= {t.outputs[0]: believed[t.outputs[0]] for t in self.terms.observations}
+        return torch.cat(blocks, -1)
+
+    def _believed(self, tensors: World, drawn: Mapping[str, Tensor]) -> World:
+        """The tensors with the estimate in the place of the state, and what sensors make of it."""
+        if self.terms.estimator is None:
+            return tensors
+        believed = {**tensors, **{true: tensors[key] for true, key in keys.ESTIMATES.items()}}
+        for term in self.functions_seen:
+            _run(term, believed, drawn)
+        return believed
+
+    def _measure_first(self, tensors: World, drawn: Mapping[str, Tensor]) -> None:
+        """The first readings of an episode, and the first estimate."""
+        if self.devices:
+            tensors |= {key: tensors[key[1:]] for key in self.memory}
+        for term in self.devices:
             _run(term, tensors, drawn)
-        return torch.cat([tensors[term.outputs[0]] for term in self.terms.observed], -1)
 
     def _require_begun(self, tensors: World) -> None:
         """What the world holds must have a value where an episode begins."""
@@ -315,7 +352,7 @@ class Stages(nn.Module):
                 known |= {keys.TERMINATED, keys.TRUNCATED, keys.DONE}
             _require(term, known, "which nothing before it writes")
             known |= set(term.outputs)
-        for term in self.terms.sensors:
+        for term in self.functions:
             at_reset |= set(term.outputs) if at_reset.issuperset(term.reads) else set()
         for term in self.terms.observed:
             _require(term, at_reset, "which an episode does not begin with")
@@ -326,6 +363,17 @@ def _bind(term: Term, context: Context) -> None:
         term.bind(context)
     except ConfigError as error:
         raise ConfigError(f"{term.path}: {error}") from None
+
+
+def sensors_read_by(readers: Iterable[Term], sensors: Sequence[Sensor]) -> list[Sensor]:
+    """The sensors that the terms read, and those that these read."""
+    wanted = {key for term in readers for key in term.reads}
+    found: list[Sensor] = []
+    for sensor in reversed(sensors):
+        if wanted.intersection(sensor.outputs):
+            found.insert(0, sensor)
+            wanted.update(sensor.reads)
+    return found
 
 
 def _require(term: Term, known: set[NestedKey], fact: str) -> None:

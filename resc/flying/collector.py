@@ -21,9 +21,8 @@ from resc.flying.loop import flown
 from resc.policies.networks import IS_INIT, STATE
 from resc.policies.policy import OBSERVATION, OBSERVATION_CRITIC, Policy
 from resc.process import require_memory
+from resc.recording.columns import before_step
 
-RECORDED = (keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB, keys.BODY_RATE_B)
-"""State before each step that a batch keeps, beside what learning needs."""
 OBSERVED = (OBSERVATION, OBSERVATION_CRITIC)
 FLAGS = ("terminated", "truncated", "done")
 Explore = Callable[[TensorDict], TensorDict]
@@ -51,6 +50,7 @@ class Collector:
         renew_scenes: int = 0,
     ) -> None:
         self.env = env
+        self.recorded = [column.key for column in before_step(env.stages.persistent)]
         self.explore = explore
         self.steps = steps
         self.renew_scenes = renew_scenes
@@ -87,7 +87,7 @@ class Collector:
         """The last batch as it is recorded: no `next`, each number beside the state before it."""
         batch = self.batch
         after = {name: batch["next", name] for name in ("reward", *FLAGS)}
-        before = {key: batch[key] for key in (*RECORDED, keys.ACTION, ("reward_terms",))}
+        before = {key: batch[key] for key in (*self.recorded, keys.ACTION, ("reward_terms",))}
         return TensorDict({**after, **before}, batch.batch_size, device=batch.device)
 
     def keep_starts(self) -> None:
@@ -163,7 +163,7 @@ class Collector:
     def _keep(self, t: int, before: World, out: StepOutput) -> None:
         """Takes down what came of a step, and begins the next episodes."""
         env, row = self.env, cast(TensorDict, self.batch[t])
-        for key in RECORDED:
+        for key in self.recorded:
             row[key].copy_(before[key])
         after = cast(TensorDict, row["next"])
         after[OBSERVATION].copy_(out.observation)
@@ -219,7 +219,7 @@ class Collector:
         }
         step = TensorDict(seen.to_dict(), seen.batch_size, device=env.device)
         step.update(chosen).update({"next": after})
-        step.update({key: env.value_of(key) for key in RECORDED})
+        step.update({key: env.value_of(key) for key in self.recorded})
         terms = len(env.stages.terms.rewards)
         step["reward_terms"] = torch.zeros(env.num_envs, terms, device=env.device)
         return cast(TensorDict, step.expand(self.steps, env.num_envs).clone().zero_())

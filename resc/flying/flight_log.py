@@ -11,7 +11,7 @@ from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import StepOutput, World
 from resc.flying.episodes import EpisodeStatistics
-from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS
+from resc.recording.columns import REWARD_TERMS, before_step
 from resc.recording.rollouts import record_world, start_arrays, with_flown, with_success
 from resc.recording.writer import RolloutRecorder
 
@@ -31,7 +31,7 @@ class FlightLog:
 
     def __init__(self, recorder: RolloutRecorder, env: QuadrotorEnv) -> None:
         self.recorder = recorder
-        self.state = [column.key for column in STATE_COLUMNS]
+        self.state = [column.key for column in before_step(env.stages.persistent)]
         self.statistics = EpisodeStatistics(env.num_envs, env.stages.outcomes, env.device)
         self.scene = env.value_of(keys.SCENE_INDEX)
         self.first_step = 0

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from resc.build import build, build_terms, plain
-from resc.envs.stages import Stages, World
+from resc.envs.stages import Stages, World, sensors_read_by
 from resc.errors import ConfigError, shown
 from resc.math.sampling import generator_for
 from resc.setup import in_layout
@@ -53,7 +53,8 @@ class OwnObservation:
         observations = build_terms(observation, "observation", Observation, allowed)
         own = build_terms(sensor, "sensor", Sensor, allowed)
         sensors = {term.name: term for term in (*stages.terms.sensors, *own)}
-        needed = _read_by(observations, list(sensors.values()))
+        estimators = [stages.terms.estimator] if stages.terms.estimator else []
+        needed = sensors_read_by([*observations, *estimators], list(sensors.values()))
         terms = replace(
             stages.terms,
             sensors=needed,
@@ -115,14 +116,3 @@ def _numbers(action: Action) -> Mapping[str, object]:
     """What an action term was made with; how long commands may wait is the vehicle's."""
     own = {name: value for name, value in vars(action).items() if isinstance(value, float | tuple)}
     return own | {name: buffer.tolist() for name, buffer in action.named_buffers()}
-
-
-def _read_by(observations: Sequence[Observation], sensors: Sequence[Sensor]) -> list[Sensor]:
-    """The sensors that the observations read, and those that these read."""
-    wanted = {key for term in observations for key in term.reads}
-    found = []
-    for sensor in reversed(sensors):
-        if wanted.intersection(sensor.outputs):
-            found.insert(0, sensor)
-            wanted.update(sensor.reads)
-    return found

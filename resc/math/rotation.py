@@ -4,6 +4,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+SMALL = 1e-8
+"""Squared angle [rad^2] below which sines are series."""
+
 
 def normalize(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
     """The unit quaternion of the same rotation."""
@@ -73,6 +76,39 @@ def quaternion_from_euler(euler: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
         ),
         -1,
     )
+
+
+def product(first: Float[Tensor, "n 4"], second: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
+    """The quaternion of the second rotation followed by the first: q1 q2."""
+    w, u = first[..., :1], first[..., 1:]
+    other_w, v = second[..., :1], second[..., 1:]
+    scalar = w * other_w - (u * v).sum(-1, keepdim=True)
+    return torch.cat((scalar, w * v + other_w * u + torch.linalg.cross(u, v)), -1)
+
+
+def inverse(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
+    """The quaternion of the opposite rotation."""
+    return torch.cat((attitude[..., :1], -attitude[..., 1:]), -1)
+
+
+def quaternion_from_vector(vector: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
+    """The rotation about the vector's direction by its length [rad]: (cos(a/2), u sin(a/2))."""
+    square = vector.square().sum(-1, keepdim=True)
+    small = square < SMALL
+    angle = torch.where(small, 1.0, square).sqrt()
+    share = torch.where(small, 0.5 - square / 48, (angle / 2).sin() / angle)
+    scalar = torch.where(small, 1 - square / 8, (angle / 2).cos())
+    return torch.cat((scalar, share * vector), -1)
+
+
+def vector_from_quaternion(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3"]:
+    """The rotation vector [rad] of at most half a turn."""
+    attitude = torch.where(attitude[..., :1] < 0, -attitude, attitude)
+    w, u = attitude[..., :1], attitude[..., 1:]
+    square = u.square().sum(-1, keepdim=True)
+    small = square < SMALL
+    length = torch.where(small, 1.0, square).sqrt()
+    return torch.where(small, 2 / w.clamp(min=0.5), 2 * torch.atan2(length, w) / length) * u
 
 
 def derivative(

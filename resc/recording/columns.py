@@ -1,6 +1,7 @@
 """Which columns a recording of RESC has, and what its tools need of them."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from resc import keys
@@ -17,17 +18,37 @@ STATE_COLUMNS = (
     Column(keys.BODY_RATE_B, ("x", "y", "z"), "float32", "rad/s", "body"),
 )
 """The state before a step."""
+MEASURED_COLUMNS = (
+    Column(keys.MOCAP_POSITION_W, ("x", "y", "z"), "float32", "m", "world"),
+    Column(keys.MOCAP_ATTITUDE_WB, ("w", "x", "y", "z"), "float32", "-", "body to world"),
+    Column(keys.MOCAP_FRESH, (), "bool"),
+    Column(keys.IMU_SPECIFIC_FORCE_B, ("x", "y", "z"), "float32", "m/s^2", "body"),
+    Column(keys.IMU_BODY_RATE_B, ("x", "y", "z"), "float32", "rad/s", "body"),
+)
+"""What devices had read by then, where there are any."""
+ESTIMATE_COLUMNS = tuple(
+    replace(column, key=keys.ESTIMATES[column.key]) for column in STATE_COLUMNS
+)
+"""What was estimated of the state, where anything was."""
+FURTHER = (*MEASURED_COLUMNS, *ESTIMATE_COLUMNS)
 FLAGS = tuple(Column(key, (), "bool") for key in (keys.TERMINATED, keys.TRUNCATED))
 REWARD_TERMS = ("reward_terms",)
 FLOWN = (*(column.key for column in STATE_COLUMNS), keys.ACTION)
 """What pictures and scenes are drawn from: the state before a step, and what was flown in it."""
 
 
-def usual_columns(rewards: tuple[str, ...]) -> tuple[Column, ...]:
+def before_step(kept: Collection[keys.NestedKey]) -> tuple[Column, ...]:
+    """Columns of what is known before a step, of a world that keeps these keys."""
+    return (*STATE_COLUMNS, *(column for column in FURTHER if column.key in kept))
+
+
+def usual_columns(
+    rewards: tuple[str, ...], kept: Collection[keys.NestedKey] = ()
+) -> tuple[Column, ...]:
     """Columns of training and evaluation, with the names of the reward terms."""
     reward = Column(keys.REWARD, (), "float32")
     terms = Column(REWARD_TERMS, rewards, "float32")
-    return (*STATE_COLUMNS, ACTION, SAMPLED_ACTION, reward, terms, *FLAGS)
+    return (*before_step(kept), ACTION, SAMPLED_ACTION, reward, terms, *FLAGS)
 
 
 def require_columns(

@@ -15,7 +15,7 @@ from google.protobuf.message import DecodeError
 from resc import keys
 from resc.errors import ConfigError, RecordingError
 from resc.recording import events, wire
-from resc.recording.columns import usual_columns
+from resc.recording.columns import FURTHER, usual_columns
 from resc.recording.schema import (
     EPISODES,
     FIELDS,
@@ -28,7 +28,7 @@ from resc.recording.schema import (
 from resc.recording.specification import Specification
 from resc.recording.walk import Found, Walk
 
-_KNOWN = {column.key: column for column in usual_columns(())}
+_KNOWN = {column.key: column for column in usual_columns((), {column.key for column in FURTHER})}
 
 
 def rebuilt(file: IO[bytes], size: int, path: Path) -> Specification | None:

@@ -21,8 +21,9 @@ from resc.scenes.pool import ScenePool
 
 
 def rollout_columns(stages: Stages) -> tuple[Column, ...]:
-    """State before each step, its action, its reward, whole and by weighted term, and its end."""
-    return usual_columns(tuple(term.name for term in stages.terms.rewards))
+    """State before each step, true, read and estimated; its action, its reward and its end."""
+    rewards = tuple(term.name for term in stages.terms.rewards)
+    return usual_columns(rewards, stages.persistent)
 
 
 @dataclass(frozen=True)
