@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from resc.errors import ExitCode, RecordingError
 from resc.log_command.arguments import add_command, add_output, add_recording, output
 from resc.recording.location import recordings_at
-from resc.recording.segments import ACTIVE
+from resc.recording.segment import ACTIVE
 
 if TYPE_CHECKING:
     from resc.recording.rewrite import Rewritten

@@ -12,10 +12,11 @@ from tqdm import tqdm
 
 from resc.errors import RecordingError
 from resc.recording.decode import Arrays, Batch, batches, read_environments
+from resc.recording.indexing import open_sources
 from resc.recording.location import recordings_at
 from resc.recording.reader import RolloutLog
 from resc.recording.schema import ROLLOUT, Column
-from resc.recording.source import Source, open_sources
+from resc.recording.source import Source
 from resc.recording.tables import column_names
 
 _ENDS = ("terminated", "truncated", "done")

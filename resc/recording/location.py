@@ -6,7 +6,7 @@ from os.path import realpath
 from pathlib import Path
 
 from resc.errors import RecordingError
-from resc.recording.segments import ACTIVE, PATTERN
+from resc.recording.segment import ACTIVE, PATTERN
 
 FOLDER = "rollouts"
 """Where a run keeps its recordings."""

@@ -8,8 +8,9 @@ from pathlib import Path
 from resc.errors import RecordingError
 from resc.recording.decode import Batch, batches
 from resc.recording.history import joined
+from resc.recording.indexing import open_sources
 from resc.recording.location import recordings_at
-from resc.recording.source import Source, open_sources
+from resc.recording.source import Source
 from resc.recording.specification import Specification
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from resc.errors import RecordingError
 from resc.recording import wire
 from resc.recording.schema import ROLLOUT, WORLD
-from resc.recording.segments import FileHead, Message, Segment
+from resc.recording.segment import FileHead, Message, Segment
 from resc.recording.specification import Specification
 from resc.recording.walk import Found, Walk
 

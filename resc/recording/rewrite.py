@@ -15,10 +15,11 @@ from resc.recording import wire
 from resc.recording.decode import Batch, batches, read_environments
 from resc.recording.events import before, decode_arrays, encode_arrays
 from resc.recording.history import joined
+from resc.recording.indexing import open_source
 from resc.recording.records import ChunkRef
 from resc.recording.schema import ROLLOUT, STARTS
-from resc.recording.segments import ACTIVE, FileHead, Message, Segment
-from resc.recording.source import Source, open_recording, open_source
+from resc.recording.segment import ACTIVE, FileHead, Message, Segment
+from resc.recording.source import Source, open_recording
 from resc.run_folder import replacing
 
 _CODECS = {"": "none"}

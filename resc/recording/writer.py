@@ -25,10 +25,11 @@ from resc.recording.batches import (
     rows_of_recorded,
     to_host,
 )
+from resc.recording.indexing import sessions_in
 from resc.recording.messages import MessageWriter
 from resc.recording.schema import Column
-from resc.recording.segments import FileHead, Segments
-from resc.recording.source import sessions_in
+from resc.recording.segment import FileHead
+from resc.recording.segments import Segments
 from resc.recording.specification import Specification, chosen_columns, require
 
 _QUEUE_DEPTH = 2

@@ -8,8 +8,8 @@ from street import fly_street
 
 from examples import behaviour_cloning
 from resc.policies.stored import load_policy
-from resc.recording.segments import FileHead, Segment
-from resc.recording.source import open_source
+from resc.recording.indexing import open_source
+from resc.recording.segment import FileHead, Segment
 
 SMALL = ("obstacle_observation=none", "model.hidden=[8]", "evaluation_episodes=2", "pool_size=2",
          "termination.time_limit.limit_s=0.2")  # fmt: skip

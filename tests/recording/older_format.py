@@ -4,9 +4,9 @@ import pytest
 
 from resc.recording import specification
 from resc.recording.decode import batches, read_environments
+from resc.recording.indexing import open_source
 from resc.recording.schema import ACTION, SAMPLED_ACTION
-from resc.recording.segments import ACTIVE, FileHead, Segment
-from resc.recording.source import open_source
+from resc.recording.segment import ACTIVE, FileHead, Segment
 from resc.recording.wire import encode_fragments
 
 

@@ -7,8 +7,8 @@ from test_recorder import recorder, rollout
 
 from resc.errors import RecordingError
 from resc.recording.beginnings import scenes_in_use, worlds_at_start
+from resc.recording.indexing import open_source
 from resc.recording.reader import RolloutLog
-from resc.recording.source import open_source
 
 
 def boxes(*values):

@@ -13,7 +13,7 @@ from tensordict import TensorDict
 
 from resc.errors import RecordingError
 from resc.recording import Column, RolloutLog, RolloutRecorder
-from resc.recording.source import open_source
+from resc.recording.indexing import open_source
 
 COLUMNS = (
     Column(("state", "position_w"), ("x", "y", "z"), torch.float32, "m", "w"),

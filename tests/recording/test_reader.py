@@ -15,7 +15,7 @@ from tensordict import TensorDict
 
 from resc.errors import RecordingError
 from resc.recording import Column, RolloutLog, RolloutRecorder
-from resc.recording.source import open_source
+from resc.recording.indexing import open_source
 
 OUTCOMES = ("success", "collision", "time_limit")
 COLUMNS = (

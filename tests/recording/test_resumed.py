@@ -17,9 +17,9 @@ from resc.learning.training_run import TrainingRun
 from resc.log_command import main
 from resc.recording import RolloutLog
 from resc.recording.check import check
+from resc.recording.indexing import open_source
 from resc.recording.rewrite import merge, recover
 from resc.recording.rollouts import record_world
-from resc.recording.source import open_source
 
 TOTAL = len(EPISODES)
 

@@ -11,9 +11,9 @@ from resc.errors import RecordingError
 from resc.recording import RolloutLog
 from resc.recording.check import check
 from resc.recording.decode import batches
+from resc.recording.indexing import open_source
 from resc.recording.rewrite import merge, recover
-from resc.recording.segments import FileHead, Segment
-from resc.recording.source import open_source
+from resc.recording.segment import FileHead, Segment
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ from resc.errors import RecordingError
 from resc.log_command import main
 from resc.recording import RolloutLog
 from resc.recording.check import check
+from resc.recording.indexing import open_sources
 from resc.recording.rebuilt import columns_of
 from resc.recording.rewrite import recover
 from resc.recording.schema import Column, schema_data
-from resc.recording.source import open_sources
 
 DT_NS = 20_000_000
 TOPICS = ("/rollout", "/episodes", "/world", "/starts")
