@@ -127,7 +127,9 @@ class OptunaSweeper(Sweeper):
             raise ConfigError("hydra.sweeper.params names nothing to tune; give an interval(a, b).")
         assert self.config is not None
         first = [f"{key}={_some(distribution)}" for key, distribution in tuned.items()]
-        self.loader.load_sweep_config(self.config, [*fixed, *first])  # refuses what is no setting
+        self.loader.load_sweep_config(
+            self.config, [*fixed, *first]
+        )  # refuses what is not a setting
         return tuned, fixed
 
     def _value_of(self, outcome: Outcome) -> float:
@@ -144,9 +146,10 @@ class OptunaSweeper(Sweeper):
         if value is not None and self.objective not in numbers:
             folder = self.launcher.folder
             raise SweepError(
-                f"hydra.sweeper.objective is '{self.objective}', which is no number in {SUMMARY} "
-                f"of run {outcome.job.name}.{nearest(self.objective, numbers)} Go on with one of "
-                f"these: {go_on(folder)} {override('hydra.sweeper.objective', 'success_rate')}"
+                f"hydra.sweeper.objective is '{self.objective}', which is not a number in "
+                f"{SUMMARY} of run {outcome.job.name}.{nearest(self.objective, numbers)} Go on "
+                f"with one of these: {go_on(folder)} "
+                f"{override('hydra.sweeper.objective', 'success_rate')}"
             )
         return math.nan if value is None else float(value)
 
@@ -196,7 +199,7 @@ def distribution_of(given: Override) -> Any:  # noqa: ANN401 - Optuna's
     """What a sweep override may be.
 
     Raises:
-        ConfigError: It is no range or list of choices that a number could be drawn from.
+        ConfigError: It is not a range or list of choices that a number could be drawn from.
     """
     distributions = needed("optuna", "optuna").distributions
     value = given.value()
@@ -205,7 +208,7 @@ def distribution_of(given: Override) -> Any:  # noqa: ANN401 - Optuna's
         if not (_is_finite(low) and _is_finite(high)) or low >= high or (log and low <= 0):
             above = " above zero" if log else ""
             raise ConfigError(
-                f"{given.input_line} is no range; expected two numbers{above}, the lower first."
+                f"{given.input_line} is not a range; expected two numbers{above}, the lower first."
             )
         if type(low) is int and type(high) is int:
             return distributions.IntDistribution(low, high, log=log)

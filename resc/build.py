@@ -83,7 +83,7 @@ def build(
             f"{path} cannot be built: {target.__name__} raises {_reason(error)}."
         ) from error
     if kind is not None and not isinstance(made, kind):
-        raise ConfigError(f"{path} builds a {type(made).__name__}, which is no {kind.__name__}.")
+        raise ConfigError(f"{path} builds a {type(made).__name__}, which is not a {kind.__name__}.")
     return made
 
 
@@ -131,7 +131,7 @@ def locate(target: str, path: str, allowed: Iterable[str]) -> Callable[..., Any]
         )
     ours = inspect.isclass(found) and found.__module__.startswith(ALLOWED)
     if target.startswith(ALLOWED) and not ours:  # build, for one, would build what it is told
-        raise ConfigError(f"{path}._target_ is '{target}', which is no class of ours; name one.")
+        raise ConfigError(f"{path}._target_ is '{target}', which is not a class of ours; name one.")
     return found
 
 

@@ -86,7 +86,7 @@ def make_env(
     if unknown:
         name = next(iter(unknown))
         raise ConfigError(
-            f"{name} is no keyword of make_env; settings are texts, such as 'seed=1'."
+            f"{name} is not a keyword of make_env; settings are texts, such as 'seed=1'."
             f"{nearest(name, KEYWORDS)}"
         )
     values = (num_envs, seed, None if device is None else str(device), compile, pool_size)
@@ -110,8 +110,8 @@ def _refuse_idle(overrides: Sequence[str]) -> None:
     keys = {text: text.lstrip("+~").partition("=")[0].partition(".")[0] for text in overrides}
     if idle := [text for text, key in keys.items() if key in OF_RUNS]:
         raise ConfigError(
-            f"{', '.join(idle)}: that is of a training run and changes nothing about an "
-            "environment; leave it out, or train by train.py."
+            f"{', '.join(idle)}: this belongs to a training run and changes nothing in "
+            "an environment; leave it out, or train with train.py."
         )
 
 

@@ -30,7 +30,9 @@ def prepare_process(threads: int, device: str) -> None:
 def require_device(device: str) -> None:
     """Raises ConfigError if this machine has no such device."""
     if device != "cpu" and not (device.startswith("cuda") and torch.cuda.is_available()):
-        raise ConfigError(f"device is '{device}', which is not there; use device=cpu.")
+        raise ConfigError(
+            f"device is '{device}', which this machine does not have; use device=cpu."
+        )
 
 
 def require_memory(

@@ -92,7 +92,9 @@ def _number(path: str, value: Any, kind: type[int] | type[float]) -> int | float
     if isinstance(value, float) and not math.isfinite(value):
         raise ConfigError(f"{path} is {value}; expected a finite number.")
     if abs(value) > LIMIT:
-        raise ConfigError(f"{path} is {shown(value)}; expected a number of a size below {LIMIT:g}.")
+        raise ConfigError(
+            f"{path} is {shown(value)}; expected a number between -{LIMIT:g} and {LIMIT:g}."
+        )
     return kind(value)
 
 

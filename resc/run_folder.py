@@ -172,7 +172,7 @@ def link_latest(folder: Path, kind: Kind) -> None:
         link = runs / name
         if link.exists() and not link.is_symlink():
             raise ConfigError(
-                f"{link} is no link but a file or folder; move it, the newest run goes there."
+                f"{link} is a file or folder, not a link to the newest run; move it away."
             )
         temporary = runs / f".{name}.{os.getpid()}"
         temporary.unlink(missing_ok=True)

@@ -86,7 +86,7 @@ def fingerprint(config: DictConfig) -> str:
 def _refuse_unknown(given: Iterable[str], known: Iterable[str], prefix: str) -> None:
     for name in given:
         if name not in known:
-            raise ConfigError(f"{prefix}{name} is no setting.{nearest(name, known)}")
+            raise ConfigError(f"{prefix}{name} is not a setting.{nearest(name, known)}")
 
 
 def honoured(overrides: Sequence[str], made_with: Sequence[str], folder: Path) -> list[str]:
@@ -105,8 +105,8 @@ def honoured(overrides: Sequence[str], made_with: Sequence[str], folder: Path) -
     ]
     if foreign:
         raise ConfigError(
-            f"{', '.join(foreign)}: a resumed run keeps what it was made with, and takes only "
-            f"{', '.join(RESUMABLE)} anew. Go on with: {go_on(folder)}"
+            f"{', '.join(foreign)}: a resumed run keeps its settings; only "
+            f"{', '.join(RESUMABLE)} may change. Go on with: {go_on(folder)}"
         )
     return [key for key in keys.values() if key in RESUMABLE]
 
@@ -120,7 +120,7 @@ def refuse_beside(overrides: Sequence[str], heeded: Sequence[str], mode: str) ->
     keys = {text: text.lstrip("+~").partition("=")[0].partition(".")[0] for text in overrides}
     if idle := [text for text, key in keys.items() if key not in heeded]:
         raise ConfigError(
-            f"A {mode} heeds only {', '.join(heeded)}; leave out {', '.join(idle)}, which would "
+            f"A {mode} only uses {', '.join(heeded)}; leave out {', '.join(idle)}, which would "
             "change nothing."
         )
 

@@ -230,7 +230,7 @@ def test_no_way_around_leads_through_our_own_functions_or_imports(node):
 
 def test_a_term_of_another_kind_is_refused():
     with pytest.raises(
-        ConfigError, match=r"sensor\.progress builds a Progress, which is no Sensor"
+        ConfigError, match=r"sensor\.progress builds a Progress, which is not a Sensor"
     ):
         build_terms({"progress": PROGRESS}, "sensor", Sensor)
 

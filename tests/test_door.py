@@ -50,7 +50,7 @@ def test_load_composes_what_train_composes(compose, overrides):
         ("reward.progress.wieght=1", "reward.progress has no 'wieght'. Did you mean 'weight'?"),
         ("reward=[progress,progress]", "reward.progress is defined by reward/progress, listed tw"),
         ("reward=3", "reward is 3; expected names of files in conf/reward"),
-        ("+task.shape=1", "task.shape is no setting"),
+        ("+task.shape=1", "task.shape is not a setting"),
         ("seed=-1", "seed is -1; expected 0 to "),
         ("num_envs=many", "Value 'many' of type 'str' could not be converted to Integer"),
         ("seed=0,1", "Ambiguous value for argument 'seed=0,1'"),
@@ -112,9 +112,9 @@ def test_keywords_are_settings():
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"num_env": 3}, "num_env is no keyword of make_env; .* Did you mean 'num_envs'?"),
+        ({"num_env": 3}, "num_env is not a keyword of make_env; .* Did you mean 'num_envs'?"),
         ({"num_envs": 0}, "num_envs is 0; expected at least 1"),
-        ({"device": "tpu"}, "device is 'tpu', which is not there; use device=cpu"),
+        ({"device": "tpu"}, "device is 'tpu', which this machine does not have; use device=cpu"),
     ],
 )
 def test_wrong_keywords_are_refused(settings, sentence):
@@ -145,5 +145,5 @@ def test_a_policy_that_is_not_there_is_named():
     "idle", ["resume=latest", "init_from=latest", "total_frames=5", "algorithm.steps=4", "~logger"]
 )
 def test_what_means_nothing_to_an_environment_is_refused(idle):
-    with pytest.raises(ConfigError, match="is of a training run and changes nothing"):
+    with pytest.raises(ConfigError, match="belongs to a training run and changes nothing"):
         resc.make_env(idle, num_envs=1, pool_size=1)

@@ -45,7 +45,7 @@ def test_run_outside_runs_gets_no_link(tmp_path):
 
 def test_folder_named_latest_is_left_alone(folder, tmp_path):
     (tmp_path / "runs" / "latest").mkdir()
-    with pytest.raises(ConfigError, match="is no link"):
+    with pytest.raises(ConfigError, match="is a file or folder, not a link"):
         link_latest(folder, "train")
 
 

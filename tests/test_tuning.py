@@ -20,12 +20,12 @@ def parsed(text):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("a=interval(3, 1)", r"interval\(3, 1\) is no range; expected two numbers, the lower"),
-        ("a=interval(1, 1)", "is no range"),
-        ("a=interval(1.0, nan)", "is no range"),
-        ("a=interval(1.0, inf)", "is no range"),
-        ("a=tag(log, interval(0, 3))", "is no range; expected two numbers above zero"),
-        ("a=tag(log, interval(-1.0, 3.0))", "is no range; expected two numbers above zero"),
+        ("a=interval(3, 1)", r"interval\(3, 1\) is not a range; expected two numbers, the lower"),
+        ("a=interval(1, 1)", "is not a range"),
+        ("a=interval(1.0, nan)", "is not a range"),
+        ("a=interval(1.0, inf)", "is not a range"),
+        ("a=tag(log, interval(0, 3))", "is not a range; expected two numbers above zero"),
+        ("a=tag(log, interval(-1.0, 3.0))", "is not a range; expected two numbers above zero"),
         ("a=choice(b, b)", "names a choice twice"),
         ("a=range(1, 5)", "cannot be tuned"),
     ],
@@ -58,7 +58,7 @@ def test_ranges_and_choices_become_distributions():
         ((WEIGHT, "hydra.sweeper.params=3"), "hydra.sweeper.params is 3"),
         ((), "hydra.sweeper.params names nothing to tune"),
         (("reward.progres.weight=interval(1, 2)",), "reward has no 'progres'. Did you mean"),
-        (("reward.progress.weight=interval(3, 1)",), "is no range"),
+        (("reward.progress.weight=interval(3, 1)",), "is not a range"),
     ],
 )
 def test_study_that_could_not_be_run_is_refused_before_any_trial(start, refusal, arguments, told):
@@ -70,7 +70,9 @@ def test_objective_that_no_summary_has_is_told_after_the_first_trial(
     start, refusal, tmp_path, capsys
 ):
     told = refusal(*TUNE, WEIGHT, "hydra.sweeper.trials=3", "hydra.sweeper.objective=succes_rate")
-    assert "'succes_rate', which is no number in summary.json of run 0. Did you mean 'succ" in told
+    assert (
+        "'succes_rate', which is not a number in summary.json of run 0. Did you mean 'succ" in told
+    )
     assert "Available: episodes, success_rate." in told
     assert not (tmp_path / "swept" / "1").exists()
     start("resume=swept", "hydra.sweeper.objective=success_rate", "hydra.sweeper.trials=2")

@@ -380,7 +380,7 @@ def _require(term: Term, known: set[NestedKey], fact: str) -> None:
     for key in term.reads:
         if not isinstance(key, tuple):
             raise ConfigError(
-                f"{term.path} reads {key!r}, which is no key; reads is a tuple of keys such as "
+                f"{term.path} reads {key!r}, which is not a key; reads is a tuple of keys such as "
                 "(keys.POSITION_W,) with its comma."
             )
         if key not in known:

@@ -89,7 +89,7 @@ class Bounding:
         planner = planner_for(**nodes, allowed=allowed)
         if planner is None:
             raise ConfigError(
-                "search is none, but the path leads the solver; set search=visibility."
+                "search is none, but the solver starts from a planned path; set search=visibility."
             )
         names = scenes_to_fly(config["scenes"], config["suite"], given())
         scenes = compose_scenes(names, config["scene"])
@@ -128,8 +128,8 @@ def find_tasks(
         )
         if (maps.layout.route_length > 0).any():
             raise ConfigError(
-                f"scene {name} lays out its own routes; a bound is of a scene that knows its goal "
-                "alone, such as paper1_map11."
+                f"scene {name} lays out its own routes; a bound needs a scene that only knows "
+                "its goal, such as paper1_map11."
             )
         planned = planner(replace(maps.layout, start_w=maps.nominal_w), name)
         different: dict[str, Task] = {}

@@ -121,7 +121,7 @@ def _require_within(name: str, value: float, ends: tuple[float, float], unit: st
     if not least <= value <= greatest:
         raise ConfigError(
             f"{name} is {value:g}, but the policy was trained from {least:g} to {greatest:g} "
-            f"{unit}; ask for one of these, or train it with other ends."
+            f"{unit}; ask for a value in this range, or train a policy with a wider one."
         )
 
 

@@ -53,7 +53,7 @@ def compare(folder: Path, results: Mapping[str, Any]) -> tuple[bool, str]:
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist; give the folder of a finished run.") from None
     except (OSError, ValueError, KeyError, TypeError):
-        raise ConfigError(f"{path} is no summary of a finished training run.") from None
+        raise ConfigError(f"{path} is not the summary of a finished training run.") from None
     if frames != results["frames"]:
         raise ConfigError(
             f"the run in {folder} took {frames} frames, the stored ones {results['frames']}; "

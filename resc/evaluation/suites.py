@@ -60,8 +60,8 @@ def scenes_to_fly(
         return list(suite)
     if "suite" in given:
         raise ConfigError(
-            "Both suite and scenes say what to fly; leave one of them out. Of a suite, a scene is "
-            "left out by '~suite.<scene>' and its numbers change by suite.<scene>.maps=10."
+            "Both suite and scenes say what to fly; leave one of them out. To leave a scene "
+            "out of a suite, give '~suite.<scene>'; to change its numbers, suite.<scene>.maps=10."
         )
     return listed(scenes)
 
@@ -81,7 +81,7 @@ def amounts_of(
     own = {name: _read(name, suite[name]) for name in scenes if name in suite}
     if maps is not None and own and all(amount.maps is None for amount in own.values()):
         raise ConfigError(
-            f"maps is {maps}, but {', '.join(own)} are fixed maps; leave it out or raise flights."
+            f"maps is {maps}, but {', '.join(own)} have fixed maps; leave it out or raise flights."
         )
     found = {name: own.get(name, Amount(FLIGHTS, maps)) for name in scenes}
     return {

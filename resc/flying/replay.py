@@ -189,7 +189,7 @@ def compare(
     deviations = {key: 0.0 for key in (*STATE, *OUTPUTS) if recorded.get(key, None) is not None}
     if not deviations:
         raise RecordingError(
-            "The recording holds the actions alone, so there is nothing to compare with; record "
+            "The recording holds only the actions, so there is nothing to compare with; record "
             "with recorder.fields=null."
         )
     recorded = recorded.to(env.device)

@@ -50,7 +50,9 @@ class Switch(Pilot):
             )
         for name, pilot in pilots.items():
             if not isinstance(pilot, Pilot):
-                raise ConfigError(f"pilots.{name} is a {type(pilot).__name__}, which is no Pilot.")
+                raise ConfigError(
+                    f"pilots.{name} is a {type(pilot).__name__}, which is not a Pilot."
+                )
         self.pilots = pilots
         self.below_m = below_m
         self.hysteresis_m = hysteresis_m

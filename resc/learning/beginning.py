@@ -61,8 +61,8 @@ def resumed(
     told = summary_of(folder).get("made_with")
     if told and told != fingerprint(stored):
         raise ConfigError(
-            f"{folder / SUMMARY} is of a run with other settings than {CONFIG} beside it; restore "
-            "both from one run, or delete it."
+            f"{folder / SUMMARY} belongs to a run with other settings than {CONFIG} beside it; "
+            "restore both from one run, or delete it."
         )
     new = {name: taken[name] for name in {*changed, "allowed_targets"}}
     with open_dict(stored):

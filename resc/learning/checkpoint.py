@@ -48,11 +48,12 @@ def load_checkpoint(path: Path, trainer: Trainer) -> None:
     layout = [list(block) for block in layout_of(env.stages)]
     if content["layout"] != layout:
         raise CheckpointError(
-            f"{path} was made with the observation {content['layout']}, this run has {layout}."
+            f"{path} was made with the observation {content['layout']}, but this run "
+            f"has {layout}; give it the same."
         )
     if content["observation"].shape[0] != env.num_envs:
         raise CheckpointError(
-            f"{path} holds {content['observation'].shape[0]} environments, this run has "
+            f"{path} holds {content['observation'].shape[0]} environments, but this run has "
             f"{env.num_envs}; set num_envs."
         )
     require_same_run(content, trainer.made_with, path)

@@ -83,7 +83,7 @@ class Trainer:
             figures = self.algorithm.update(batch)
         except NumericalError as error:
             raise NumericalError(
-                f"{error}, though all that was flown is, with "
+                f"{error}, although everything flown was finite, with "
                 f"{largest_reward(batch, self.env.stages)}; lower algorithm.learning_rate or "
                 "algorithm.reward_scale."
             ) from None

@@ -49,7 +49,8 @@ def stopping_at_batch_end() -> Iterator[Interruption]:
         for caught, handler in previous.items():
             signal.signal(caught, handler)
         tqdm.write(
-            "Stopping after this batch; the checkpoint will be saved. Once more to stop at once."
+            "Stopping after this batch; the checkpoint will be saved. Interrupt again to stop at "
+            "once."
         )
 
     for number in previous:
@@ -180,7 +181,7 @@ def _save_in_need(trainer: Trainer, folder: Path, error: RecordingError) -> None
     try:
         save_checkpoint(folder / CHECKPOINT, trainer)
     except CheckpointError as failure:
-        error.add_note(f"The checkpoint before stays as it is: {failure}")
+        error.add_note(f"The previous checkpoint is kept: {failure}")
 
 
 def record_batch(trainer: Trainer, recorder: RolloutRecorder | None) -> None:

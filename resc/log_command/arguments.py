@@ -107,7 +107,7 @@ def output(given: argparse.Namespace, default: Path) -> Path:
     if path.is_dir():
         raise RecordingError(f"{path} is a folder; name a file in it with --out.")
     if path.exists() and any(path.samefile(file) for file in _inputs(given)):
-        raise RecordingError(f"{path} is what is read; name another file with --out.")
+        raise RecordingError(f"{path} is the input; name another file with --out.")
     if os.path.lexists(path) and not given.force:
         raise RecordingError(f"{path} exists; name another file with --out, or add --force.")
     if not path.parent.is_dir():

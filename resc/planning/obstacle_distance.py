@@ -26,7 +26,7 @@ def solver() -> ModuleType:
         import casadi
     except ImportError:
         raise ConfigError(
-            "The bound is solved by casadi, which is not installed; install it with: "
+            "The bound is computed with casadi, which is not installed; install it with: "
             "pip install -e '.[bound]'."
         ) from None
     return casadi

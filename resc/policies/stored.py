@@ -78,7 +78,7 @@ class StoredPolicy(TensorDictModuleBase):
         if not isinstance(given, TensorDictBase):
             raise CallError(
                 "This policy remembers, so an observation alone does not say what it does; call "
-                "policy.decide(observation, state) of it, which returns the next state."
+                "its policy.decide(observation, state), which returns the next state."
             )
         if STATE not in given:
             raise CallError(
@@ -159,8 +159,8 @@ def load_weights(folder: Path, networks: nn.ModuleDict, stages: Stages) -> list[
                 afresh.append(name)
                 continue
             raise CheckpointError(
-                f"The policy of {folder} is not of the same networks as this run's; give it the "
-                f"same: model is {config.get('model')} there, algorithm "
+                f"The policy of {folder} has other networks than this run; give both the same: "
+                f"there, model is {config.get('model')} and algorithm "
                 f"{(config.get('algorithm') or {}).get('_target_')}."
             ) from None
     return afresh
@@ -203,8 +203,8 @@ def _require_same_input(
     for name, (trained, given) in facts.items():
         if trained != given:
             raise CheckpointError(
-                f"The policy of {folder} was trained with {name}={trained}, this run has {given}; "
-                "give it the same."
+                f"The policy of {folder} was trained with {name}={trained}, but this run has "
+                f"{given}; give it the same."
             )
 
 
@@ -284,8 +284,8 @@ def require_same_run(content: Mapping[str, Any], made_with: str, path: Path) -> 
     """Refuses weights of another run; older files do not say whose they are."""
     if content.get("made_with") and made_with and content["made_with"] != made_with:
         raise CheckpointError(
-            f"{path} is of a run with other settings than {CONFIG} beside it; restore both from "
-            "one run."
+            f"{path} belongs to a run with other settings than {CONFIG} beside it; restore "
+            "both from one run."
         )
 
 

@@ -20,7 +20,7 @@ def column_leaves(batch: TensorDictBase, specification: Specification, num_envs:
     shape = list(batch.batch_size)
     if len(shape) != 2 or shape[0] == 0 or shape[1] != num_envs:
         raise RecordingError(
-            f"A batch of shape {shape} was put; expected [T, {num_envs}], time first and not empty."
+            f"The batch has the shape {shape}; expected [T, {num_envs}], time first and not empty."
         )
     leaves: Leaves = {}
     for column in specification.columns:

@@ -26,7 +26,7 @@ def parse(document: bytes, origin: str) -> Container:
     except (YAMLError, OmegaConfBaseException, ValueError, RecursionError) as error:
         reason = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise RecordingError(
-            f"{origin}: its attachment 'config.yaml' is no configuration ({reason}); take the "
+            f"{origin}: its attachment 'config.yaml' is not a configuration ({reason}); take the "
             "config.yaml of the run's folder."
         ) from error
 
@@ -40,7 +40,7 @@ def require_groups(config: Container, wanted: Iterable[str]) -> None:
     for name in wanted:
         if name not in config:
             raise RecordingError(
-                f"The recording's attachment 'config.yaml' names no '{name}', so it is not that of "
+                f"The recording's attachment 'config.yaml' has no '{name}', so it is not that of "
                 "a run; take the files that RESC wrote."
             )
 

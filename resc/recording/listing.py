@@ -72,9 +72,9 @@ class Listing:
         partial = numbers[~self.table["complete"].to_numpy()[numbers]]
         if len(partial):
             raise RecordingError(
-                f"Of {len(partial)} of these {len(numbers)} episodes, such as {partial[0]}, not "
-                "all steps are recorded in these files; leave them out with where(complete=True), "
-                "or read what there is with env()."
+                f"Some steps of {len(partial)} of these {len(numbers)} episodes, such as "
+                f"{partial[0]}, are not recorded in these files; leave them out with "
+                "where(complete=True), or read what there is with env()."
             )
         firsts = np.searchsorted(self.spans["episode"], [numbers, numbers + 1])
         pieces = firsts[1] - firsts[0]

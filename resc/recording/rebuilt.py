@@ -53,9 +53,7 @@ def rebuilt(file: IO[bytes], size: int, path: Path) -> Specification | None:
     if not walk.schemas:
         return None
     if not dt_ns:
-        raise _lost(
-            path, "nothing in it is of a later step than 0, so that the control step is unknown"
-        )
+        raise _lost(path, "it holds nothing after step 0, so its time step is unknown")
     return Specification(
         columns=columns_of(walk.schemas, path),
         num_envs=max(num_envs, 1),
@@ -96,7 +94,7 @@ def columns_of(schemas: Mapping[str, bytes], path: Path) -> tuple[Column, ...]:
             return columns
     except (DecodeError, StopIteration, LookupError, ConfigError):
         pass
-    raise _lost(path, f"the schema of {ROLLOUT} is none of RESC's")
+    raise _lost(path, f"the schema of {ROLLOUT} is not one of RESC's")
 
 
 def _columns_in(message: DescriptorProto, key: tuple[str, ...] = ()) -> Iterator[Column]:

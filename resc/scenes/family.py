@@ -74,7 +74,7 @@ def require_families(name: str, families: Mapping[str, Any]) -> None:
     for part, family in families.items():
         if not isinstance(family, Family):
             raise ConfigError(
-                f"{name}.{part} is {family!r}, which is no family of maps; name a class derived "
+                f"{name}.{part} is {family!r}, which is not a family of maps; name a class derived "
                 "from resc.scenes.family.Family."
             )
 

@@ -83,7 +83,7 @@ class NamedScene:
             boxes += grid
         elif cell_m is not None or corner_m is not None:
             name = "cell_m" if cell_m is not None else "corner_m"
-            raise ConfigError(f"{name} is of a grid, and there is none; give occupancy, too.")
+            raise ConfigError(f"{name} belongs to a grid, but there is none; give occupancy, too.")
         if jitter_m < 0:
             raise ConfigError(f"jitter_m is {jitter_m}; expected zero or more.")
         self.boxes = torch.tensor([list(box) for box in boxes], dtype=torch.float32).reshape(-1, 4)

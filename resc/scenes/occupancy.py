@@ -71,7 +71,7 @@ def _from_rows(rows: Sequence[str]) -> Bool[np.ndarray, "h w"]:
         if len(row) != len(rows[0]):
             raise ConfigError(
                 f"occupancy[{number}] has {len(row)} cells and occupancy[0] {len(rows[0])}; give "
-                "every row as many."
+                "all rows the same number."
             )
     if not len(rows) or not rows[0]:
         raise ConfigError("occupancy is empty; give at least one row of at least one cell.")
@@ -83,8 +83,8 @@ def _from_file(name: str) -> Bool[np.ndarray, "h w"]:
     path = Path(name)
     if path.suffix != ".npy" or not path.is_file():
         raise ConfigError(
-            f"occupancy is '{name}', which is no .npy file; expected the path of one, or rows of "
-            "text."
+            f"occupancy is '{name}', which is not an .npy file; expected the path of one, or rows "
+            "of text."
         )
     try:
         cells = np.load(path, allow_pickle=False)

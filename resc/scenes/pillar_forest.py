@@ -75,7 +75,7 @@ class PillarForest(RandomMaps):
         self.number = round(density_per_m2 * self.forest_m[2] * self.forest_m[3])
         if not 1 <= self.number <= MOST:
             raise ConfigError(
-                f"density_per_m2 is {density_per_m2:g}, which makes {self.number} pillars of a "
+                f"density_per_m2 is {density_per_m2:g}, which puts {self.number} pillars into a "
                 f"forest of {self.forest_m[2]:g} x {self.forest_m[3]:g} m; expected 1 to {MOST}."
             )
         self.radius_m = radius_m

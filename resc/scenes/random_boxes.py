@@ -48,7 +48,7 @@ class RandomBoxes(RandomMaps):
             raise ConfigError(f"side_m is {list(side_m)}; expected [least, greatest], above 0.")
         if len(size_m) != 2 or not min(size_m) > 2 * BORDER_M:
             raise ConfigError(
-                f"size_m is {list(size_m)}; expected two numbers above {2 * BORDER_M:g}, for no "
+                f"size_m is {list(size_m)}; expected two numbers above {2 * BORDER_M:g}, as no "
                 f"box begins in the border of {BORDER_M:g} m."
             )
         super().__init__(

@@ -31,7 +31,7 @@ def composed(config_name: str, overrides: Sequence[str]) -> DictConfig:
         ConfigError: A name does not exist, or a term is defined twice.
     """
     if foreign := [each for each in overrides if not isinstance(each, str)]:
-        raise ConfigError(f"{foreign[0]!r} is no override; give texts, such as 'seed=1'.")
+        raise ConfigError(f"{foreign[0]!r} is not an override; give texts, such as 'seed=1'.")
     if options := [text for text in overrides if text.startswith("-")]:
         raise ConfigError(
             f"{options[0]} is an option of the command line; give overrides, such as seed=1."

@@ -225,7 +225,7 @@ def resumed_sweep(arguments: list[str]) -> list[str]:
     if refused := [text for text in given if not is_among(text, CHANGEABLE)]:
         raise ConfigError(
             f"{folder} is a sweep, which goes on as it was begun: leave out {shell(*refused)}; "
-            f"only how it is run can be said anew: {', '.join(CHANGEABLE)}."
+            f"only how it is run may change: {', '.join(CHANGEABLE)}."
         )
     if list(map(_value_of, permitted)) != list(map(_value_of, permissions(stored))):
         raise ConfigError(
@@ -302,7 +302,7 @@ def _explain(error: Exception, config_name: str, arguments: Sequence[str]) -> st
             known = [path.stem for path in (CONF / group).glob("*.yaml")]
             return f"{group} has no '{name}'.{nearest(name, known)}"
     if word := re.search(r"Error parsing override '([^=']*)'\s*missing EQUAL", text):
-        return f"'{word[1]}' is no setting; give a name and a value, such as seed=1."
+        return f"'{word[1]}' is not a setting; give a name and a value, such as seed=1."
     cause = str(error.__cause__ or "").partition("\n")[0]
     return " ".join(f"{text}. {cause}".split())
 
@@ -330,6 +330,6 @@ def _explain_override(path: str, config_name: str, choices: Sequence[str]) -> st
     known = [str(key) for key in node] if isinstance(node, DictConfig) else []
     missing = parts[len(found)]
     if missing in known:
-        return f"{path} is no setting of the configuration that --config-name names."
+        return f"{path} is not a setting of the configuration that --config-name names."
     where = ".".join(found) or config_name
-    return f"{path} is no setting: {where} has no '{missing}'.{nearest(missing, known)}"
+    return f"{path} is not a setting: {where} has no '{missing}'.{nearest(missing, known)}"

@@ -154,7 +154,7 @@ def return_to(folder: Path) -> None:
         os.chdir(origin.get("directory", "."))
     except OSError as error:
         raise ConfigError(
-            f"{folder} was begun in {error.filename}, from where its command is to be read "
+            f"{folder} was begun in {error.filename}, where its command has to be read "
             f"({error.strerror}); restore that directory, or start a new sweep."
         ) from None
 

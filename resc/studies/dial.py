@@ -257,7 +257,7 @@ def _require_alike(
             if config.get(name) != configs[0].get(name):
                 raise ConfigError(
                     f"{folder} holds runs of {name} {configs[0].get(name)} and {config.get(name)} "
-                    f"({run.name}); a report is of one."
+                    f"({run.name}); a report covers one."
                 )
         for name in ("scene", "flight"):
             if not np.array_equal(table[name], tables[0][name]):

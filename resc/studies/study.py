@@ -210,7 +210,8 @@ def _seed_of(folder: Path, overrides: Sequence[str]) -> int:
         return int(seeds[-1]) if seeds else 0
     except ValueError:
         raise ConfigError(
-            f"{folder / JOB} says {SEED}={seeds[-1]}, which is no whole number; delete the folder."
+            f"{folder / JOB} says {SEED}={seeds[-1]}, which is not a whole number; delete the "
+            "folder."
         ) from None
 
 

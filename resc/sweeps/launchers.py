@@ -122,7 +122,9 @@ class Ray:
     ) -> None:
         cores = cluster_cpus if cluster_cpus is not None else os.cpu_count() or 1
         if address is None and num_cpus > cores:
-            raise ConfigError(f"num_cpus is {num_cpus}, of {cores} in the cluster; ask for fewer.")
+            raise ConfigError(
+                f"num_cpus is {num_cpus}, but the cluster has {cores}; ask for fewer."
+            )
         self.address, self.num_cpus, self.cluster_cpus = address, num_cpus, cluster_cpus
 
     def run(self, jobs: Sequence[Job], runner: Runner) -> Iterator[Outcome]:

@@ -88,7 +88,7 @@ def stopping(runner: Runner) -> Iterator[None]:
     previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def request(_: int, __: FrameType | None) -> None:
-        print("Stopping; runs save their checkpoints. Once more to stop at once.", flush=True)
+        print("Stopping; runs save their checkpoints. Interrupt again to stop at once.", flush=True)
         runner.stop()
 
     for number in previous:

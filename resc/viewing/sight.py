@@ -51,8 +51,8 @@ def seen_by(
     missing = [".".join(key) for key in term.reads if key not in tensors]
     if missing:
         raise ConfigError(
-            f"{term.path} reads {', '.join(missing)}, so its sights cannot be drawn later; have "
-            f"them read {', '.join('.'.join(key) for key in tensors)} alone, or drop sights()."
+            f"{term.path} reads {', '.join(missing)}, so its sights cannot be drawn later; let "
+            f"it read only {', '.join('.'.join(key) for key in tensors)}, or drop sights()."
         )
     term.bind(context)
     drawn = [unit(term.step_draws)] if term.step_draws else []

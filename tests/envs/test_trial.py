@@ -191,7 +191,7 @@ OTHERS = {
     "reads without a comma": (
         a(Reward, column, reads=keys.POSITION_W),
         "rewards",
-        r"reward\.mine reads 'state', which is no key",
+        r"reward\.mine reads 'state', which is not a key",
     ),
 }  # fmt: skip
 

@@ -68,7 +68,7 @@ def test_fewer_maps_are_the_first_ones(evaluation, planner):
 
 
 def test_scene_with_its_own_routes_is_refused(tasks):
-    with pytest.raises(ConfigError, match=r"^scene free lays out its own routes; a bound is of"):
+    with pytest.raises(ConfigError, match=r"^scene free lays out its own routes; a bound needs"):
         tasks(free=FREE)
 
 
@@ -123,7 +123,10 @@ def test_command_solves_draws_and_stores_the_scenes_of_ones_own(tmp_path):
     [
         ("scenes=[paper1_map1]", "Unknown scene 'paper1_map1'. Did you mean 'paper1_map11'?"),
         ("limits.speed_mps=-1", "limits.speed_mps is -1.0; expected a number above 0"),
-        ("limits.spee_mps=1", "limits.spee_mps is no setting: limits has no 'spee_mps'. Did you"),
+        (
+            "limits.spee_mps=1",
+            "limits.spee_mps is not a setting: limits has no 'spee_mps'. Did you",
+        ),
     ],
 )
 def test_bad_input_of_the_command_is_one_sentence(word, answer, tmp_path):

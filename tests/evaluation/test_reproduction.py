@@ -46,7 +46,7 @@ def test_a_shorter_run_is_refused(tmp_path):
 @pytest.mark.parametrize("content", ["{", "{}", "[]", '{"success_rate": null, "frames": 1}'])
 def test_a_damaged_summary_is_one_sentence(tmp_path, content):
     (tmp_path / "summary.json").write_text(content)
-    with pytest.raises(ConfigError, match="no summary of a finished training run"):
+    with pytest.raises(ConfigError, match="not the summary of a finished training run"):
         compare(tmp_path, STORED_RUNS)
 
 

@@ -84,7 +84,7 @@ def test_job_done_exits_with_zero_whatever_came_of_the_flights(tmp_path, untrain
         (["pilot=pursit"], "pilot has no 'pursit'. Did you mean 'pursuit'? Available: "),
         (["pilot=[policy,policy]"], "pilot.policy is defined by pilot/policy, listed twice; "),
         (["pilot=[]"], "pilot is empty; name at least one file of conf/pilot: pilot=policy."),
-        (["pilot=pursuit", "pilot.pursuit.sped=2"], "pilot.pursuit.sped is no setting: "),
+        (["pilot=pursuit", "pilot.pursuit.sped=2"], "pilot.pursuit.sped is not a setting: "),
     ],
 )
 def test_wrong_pilots_are_one_sentence(tmp_path, arguments, message):

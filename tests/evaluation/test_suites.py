@@ -53,7 +53,7 @@ def test_flight_of_its_own_for_every_map_where_no_maps_are_given():
     ("overrides", "message"),
     [
         (["suite=[]"], "scenes is null and suite is empty; name a suite"),
-        (["suite=paper", "maps=3"], "maps is 3, but paper1_map11, .* are fixed maps"),
+        (["suite=paper", "maps=3"], "maps is 3, but paper1_map11, .* have fixed maps"),
         (["suite=forest", "suite.forest_low.maps=0"], "suite.forest_low.maps is 0; expected a"),
         (["suite=forest", "suite.forest_low.flights=x"], "flights is 'x'; expected a whole"),
         (["suite=forest", "+suite.forest_low.map=3"], "has no 'map'. Did you mean 'maps'"),

@@ -106,7 +106,7 @@ def test_without_a_pilot_nothing_flies():
 
 def test_class_that_is_no_pilot_is_refused():
     node = {"_target_": "resc.terms.sensors.euler.Euler"}
-    with pytest.raises(ConfigError, match=r"pilot\.mine builds a Euler, which is no Pilot"):
+    with pytest.raises(ConfigError, match=r"pilot\.mine builds a Euler, which is not a Pilot"):
         build_pilots({"mine": node})
 
 

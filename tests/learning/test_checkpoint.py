@@ -76,7 +76,7 @@ def test_checkpoint_cut_short_is_refused(trainer, tmp_path):
 def test_checkpoint_of_another_number_of_environments_is_refused(trainer, tmp_path, compose):
     save_checkpoint(tmp_path / "checkpoint.pt", trainer)
     other = TrainingRun(compose(*SMALL, "num_envs=4")).trainer()
-    with pytest.raises(CheckpointError, match="8 environments, this run has 4"):
+    with pytest.raises(CheckpointError, match="8 environments, but this run has 4"):
         load_checkpoint(tmp_path / "checkpoint.pt", other)
 
 

@@ -258,7 +258,7 @@ def test_success_is_reported_by_bins_of_difficulty():
 
 
 def test_the_terms_of_a_curriculum_are_curricula(compose):
-    with pytest.raises(ConfigError, match="which is no Curriculum"):
+    with pytest.raises(ConfigError, match="which is not a Curriculum"):
         build_terms({"obstacles": compose().sensor.euler}, "curriculum", Curriculum)
 
 

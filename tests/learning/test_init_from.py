@@ -46,7 +46,7 @@ def test_weights_and_normalisation_are_taken_all_else_is_fresh(compose, trained)
 
 def test_other_networks_are_refused_with_those_to_take(compose, trained):
     with pytest.raises(
-        CheckpointError, match=r"not of the same networks as this run.*'hidden': \[16\]"
+        CheckpointError, match=r"has other networks than this run.*'hidden': \[16\]"
     ):
         begun(compose, trained[1], "model.hidden=[32]")
 
@@ -66,12 +66,16 @@ def test_a_policy_from_before_frames_was_trained_in_that_of_the_world(compose, t
     config = OmegaConf.load(folder / "config.yaml")
     del config.env["observation_frame"]
     OmegaConf.save(config, folder / "config.yaml")
-    with pytest.raises(CheckpointError, match=r"env\.observation_frame=world, this run has head"):
+    with pytest.raises(
+        CheckpointError, match=r"env\.observation_frame=world, but this run has head"
+    ):
         begun(compose, folder)
 
 
 def test_another_scale_is_refused_with_the_setting_to_give(compose, trained):
-    with pytest.raises(CheckpointError, match=r"observation\.velocity\.scale=1\.0, this run has 0"):
+    with pytest.raises(
+        CheckpointError, match=r"observation\.velocity\.scale=1\.0, but this run has 0"
+    ):
         begun(compose, trained[1], "observation.velocity.scale=0.5")
 
 

@@ -155,7 +155,7 @@ def test_recover_does_not_overwrite_what_it_reads(run, call, tmp_path):
     before = cut.read_bytes()
     code, _, error = call("recover", "cut.mcap", "--out", cut, "--force")
     assert code == 1
-    assert error == f"error: {cut} is what is read; name another file with --out."
+    assert error == f"error: {cut} is the input; name another file with --out."
     assert cut.read_bytes() == before
 
 
@@ -284,7 +284,7 @@ def test_an_output_that_exists_is_kept_unless_forced(run, call, tmp_path):
         (("plot", "stateless", "--episode", "0"), "state.position_w"),
         (
             ("merge", "RUN", "--out", "RUN/rollouts/rollouts_00000.mcap", "--force"),
-            "is what is read",
+            "is the input",
         ),
         (("recover", "text.mcap"), "is not an MCAP file"),
         (("check", "nowhere"), "No recording at nowhere"),

@@ -33,7 +33,7 @@ def test_a_missing_column_is_named_with_who_needs_it(log, tmp_path):
 
 def test_actions_alone_are_not_compared():
     env, steps = Mock(spec=QuadrotorEnv), rollout()[:, 0]
-    with pytest.raises(RecordingError, match="holds the actions alone"):
+    with pytest.raises(RecordingError, match="holds only the actions"):
         compare(env, steps.select("action", "sampled_action"), 0, cut=False)
     with pytest.raises(RecordingError, match="no column sampled_action, which a replay needs"):
         compare(env, steps.exclude("sampled_action"), 0, cut=False)
@@ -44,9 +44,9 @@ def test_a_missing_or_foreign_configuration_is_named(tmp_path):
     with pytest.raises(RecordingError, match=r"has no attachment 'config.yaml'"):
         load_scene(RolloutLog(without), 0)
     other = record(tmp_path / "other")
-    with pytest.raises(RecordingError, match="names no 'env', so it is not that of a run"):
+    with pytest.raises(RecordingError, match="has no 'env', so it is not that of a run"):
         load_scene(RolloutLog(other), 0)
-    with pytest.raises(RecordingError, match="names no 'device', so it is not that of a run"):
+    with pytest.raises(RecordingError, match="has no 'device', so it is not that of a run"):
         fly_again(f"{other}#0")
 
 

@@ -171,7 +171,7 @@ def test_an_episode_that_is_only_partly_recorded_is_an_error(tmp_path):
     assert len(log.episodes) == 2
     assert len(log.episode(0)) == 6
     assert log.episodes["complete"].to_list() == [True, False]
-    with pytest.raises(RecordingError, match="not all steps are recorded"):
+    with pytest.raises(RecordingError, match="are not recorded in these files"):
         log.episode(1)
 
 
@@ -338,7 +338,7 @@ def test_what_is_not_a_recording_is_named_in_one_sentence(tmp_path):
 def test_a_stored_document_that_is_no_configuration_is_refused(tmp_path, config, reason):
     recorder(tmp_path, 4, config).close()
     log = RolloutLog(tmp_path)
-    complaint = rf"_00000.mcap: its attachment 'config.yaml' is no .*{reason}.*; take the config"
+    complaint = rf"_00000.mcap: its attachment 'config.yaml' is not a .*{reason}.*; take the config"
     with pytest.raises(RecordingError, match=complaint):
         _ = log.config
 

@@ -308,7 +308,7 @@ def test_the_first_environments_alone_are_recorded(tmp_path):
     with recorder(tmp_path, envs=2) as target:
         target.put(rollout(0), 0, ended, starts)
         target.put(rollout(1), 10, episodes(1, env_id=torch.tensor([3])), starts)
-        with pytest.raises(RecordingError, match=r"shape \[10, 2\] was put; expected \[T, 4\]"):
+        with pytest.raises(RecordingError, match=r"shape \[10, 2\]; expected \[T, 4\]"):
             target.put(rollout(2, num_envs=2), 20)
     log = RolloutLog(tmp_path)
     assert log.num_envs == 2

@@ -194,7 +194,7 @@ def test_episodes_of_which_steps_are_missing_are_named_and_can_be_left_out(tmp_p
     record(tmp_path, every_n_batches=2)
     log = RolloutLog(tmp_path)
     assert log.episodes["complete"].to_list() == [True] + [False] * 5
-    with pytest.raises(RecordingError, match="Of 5 of these 6 episodes, such as 1, not all"):
+    with pytest.raises(RecordingError, match="Some steps of 5 of these 6 episodes, such as 1, are"):
         log.where().to_polars()
     assert [len(steps) for steps in log.where(complete=True)] == [5]
     # Steps 0 to 9 and 20 to 29: only those after the one episode of environment 2 belong to none.

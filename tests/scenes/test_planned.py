@@ -153,7 +153,7 @@ def test_a_family_of_ones_own_is_a_line_of_yaml():
     ("numbers", "sentence"),
     [
         ({"families": {}}, "families is empty"),
-        ({"families": {"forest": 3}}, r"families\.forest is 3, which is no family"),
+        ({"families": {"forest": 3}}, r"families\.forest is 3, which is not a family"),
         ({"clearance_m": [0.5, 0.3]}, r"clearance_m is \[0.5, 0.3\]"),
         ({"apart_m": 12.0}, "apart"),
         ({"points": 0}, r"scene\.points is 0"),

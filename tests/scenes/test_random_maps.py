@@ -52,7 +52,7 @@ def test_another_seed_is_another_forest(scene):
     [
         ({"radius_m": [0.0, 0.0]}, r"scene.radius_m\[0\] is 0.0; expected a number above 0"),
         ({"radius_m": [0.4, 0.2]}, "radius_m is .*expected .least, greatest."),
-        ({"density_per_m2": 0.001}, "density_per_m2 is 0.001, which makes 0 pillars"),
+        ({"density_per_m2": 0.001}, "density_per_m2 is 0.001, which puts 0 pillars"),
         ({"density_per_m2": 100.0}, "expected 1 to 2000"),
         ({"forest_m": [0.0, 0.0, 3.0]}, "forest_m is"),
         ({"goal_m": [30.0, 0.0, 1.0]}, "goal_m is .*outside the map"),

@@ -108,7 +108,7 @@ def test_sweep_whose_modules_or_directory_are_gone_is_refused(tmp_path, monkeypa
         resumed_sweep([f"resume={tmp_path}"])
     facts = {"command": "python train.py -m seed=0,1", "directory": "/gone"}
     (tmp_path / "origin.json").write_text(json.dumps(facts))
-    with pytest.raises(ConfigError, match="was begun in /gone, from where"):
+    with pytest.raises(ConfigError, match="was begun in /gone, where its command"):
         resumed_sweep([f"resume={tmp_path}"])
 
 
@@ -118,7 +118,7 @@ def test_sweep_whose_modules_or_directory_are_gone_is_refused(tmp_path, monkeypa
 )
 def test_sweep_goes_on_as_it_was_begun_or_is_refused(tmp_path, given, refused):
     (tmp_path / "origin.json").write_text(json.dumps({"command": "python train.py -m seed=0,1"}))
-    with pytest.raises(ConfigError, match=f"leave out {refused}; only how it is run can be said"):
+    with pytest.raises(ConfigError, match=f"leave out {refused}; only how it is run may change"):
         resumed_sweep([f"resume={tmp_path}", given])
 
 
@@ -196,7 +196,7 @@ def test_rerun_of_hydra_is_refused(refusal):
         ("slurm", {"cluster": "foo", "folder": "x"}, "cluster is 'foo'; expected slurm or local"),
         ("slurm", {"mem_gb": 0, "folder": "x"}, "mem_gb is 0.* expected a number above 0"),
         ("slurm", {"timeout_min": -1, "folder": "x"}, "timeout_min is -1"),
-        ("ray", {"num_cpus": 999}, "num_cpus is 999.*, of .* in the cluster; ask for fewer"),
+        ("ray", {"num_cpus": 999}, "num_cpus is 999.*, but the cluster has .*; ask for fewer"),
         ("ray", {"cluster_cpus": 0}, "cluster_cpus is 0"),
     ],
 )
