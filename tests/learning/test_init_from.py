@@ -57,7 +57,7 @@ def test_another_observation_is_refused_by_its_block(compose, trained):
 
 
 def test_another_frame_is_refused_with_the_setting_to_give(compose, trained):
-    with pytest.raises(CheckpointError, match=r"trained with env\.observation_frame=heading, this"):
+    with pytest.raises(CheckpointError, match=r"trained with env\.observation_frame=heading, but"):
         begun(compose, trained[1], "env.observation_frame=world")
 
 
