@@ -4,6 +4,7 @@ import functools
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import hydra
@@ -136,23 +137,40 @@ def start(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., list
     Runs of a sweep are made by the stand-in.
     """
     monkeypatch.chdir(tmp_path)
-    resc.schema.register()
 
     def run(*arguments: str) -> list[DictConfig]:
         ran: list[DictConfig] = []
-        main = hydra.main(version_base="1.3", config_path=str(CONF), config_name="train")
-        outside, known = GlobalHydra.instance(), HydraConfig.instance().cfg
-        initialized, outside.hydra = outside.hydra, None
         quiet = [] if any(text.startswith("resume=") for text in arguments) else QUIET
         monkeypatch.setattr(sys, "argv", [str(STAND_IN), *arguments, *quiet])
-        try:
-            launch(main(ran.append), "train")
-        finally:
-            # The instance of now: a sentence about an override composes with one of its own.
-            GlobalHydra.instance().hydra, HydraConfig.instance().cfg = initialized, known
+        start_here(ran.append, "train")
         return ran
 
     return run
+
+
+@pytest.fixture
+def call_script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., None]:
+    """`call_script(script, *arguments)`: what train.py or evaluate.py does, in this process."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(script: ModuleType, *arguments: str) -> None:
+        monkeypatch.setattr(sys, "argv", [str(script.__file__), *arguments, *QUIET])
+        start_here(script.main.__wrapped__, script.__name__)
+
+    return call
+
+
+def start_here(run: Callable[[DictConfig], None], config_name: str) -> None:
+    """Launches a script in this process, and leaves Hydra as the other tests have begun it."""
+    resc.schema.register()
+    outside, known = GlobalHydra.instance(), HydraConfig.instance().cfg
+    initialized, outside.hydra = outside.hydra, None
+    main = hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)
+    try:
+        launch(main(run), config_name)
+    finally:
+        # The instance of now: a sentence about an override composes with one of its own.
+        GlobalHydra.instance().hydra, HydraConfig.instance().cfg = initialized, known
 
 
 @pytest.fixture

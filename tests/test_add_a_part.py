@@ -11,6 +11,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+import evaluate
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.learning.training_run import TrainingRun
 
@@ -28,8 +29,14 @@ def write(folder):
         (folder / name).write_text(text)
 
 
-def evaluate(folder, *arguments):
-    return run_script("evaluate.py", folder, *arguments)
+@pytest.fixture
+def own_package(tmp_path, monkeypatch):
+    """The files of the page, to be imported by this test alone."""
+    write(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield
+    for name in [name for name in sys.modules if name.partition(".")[0] == "mypackage"]:
+        del sys.modules[name]
 
 
 def run_script(script, folder, *arguments):
@@ -45,7 +52,7 @@ def run_script(script, folder, *arguments):
     )
 
 
-def test_the_command_of_the_page_compares_the_new_pilot(tmp_path):
+def test_the_command_of_the_page_compares_the_new_pilot(own_package, call_script, tmp_path):
     assert COMMAND[:3] == ["PYTHONPATH=.", "python", "evaluate.py"]
     small = (
         "scenes=paper4_map15",
@@ -53,8 +60,7 @@ def test_the_command_of_the_page_compares_the_new_pilot(tmp_path):
         "recorder=none",
         "termination.time_limit.limit_s=6.0",
     )
-    done = evaluate(tmp_path, *COMMAND[3:], *small)
-    assert done.returncode == 0, done.stderr
+    call_script(evaluate, *COMMAND[3:], *small, "hydra.run.dir=run")
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["pilots"]["climb"]["pilot"] == {"height_m": "1.5"}
     assert summary["pilots"]["climb"]["success_rate"] == 0.0
@@ -63,7 +69,9 @@ def test_the_command_of_the_page_compares_the_new_pilot(tmp_path):
 
 @pytest.mark.slow
 def test_without_the_permission_it_is_one_sentence(tmp_path):
-    done = evaluate(tmp_path, *(text for text in COMMAND[3:] if "allowed" not in text))
+    done = run_script(
+        "evaluate.py", tmp_path, *(text for text in COMMAND[3:] if "allowed" not in text)
+    )
     assert done.returncode == 1
     assert done.stderr.startswith(
         "error: pilot.climb._target_ is 'mypackage.climb.Climb', outside "
@@ -87,9 +95,7 @@ def test_the_command_of_the_page_trains_the_new_algorithm_with_the_new_model(tmp
     assert summary["frames"] == 768
 
 
-def test_the_algorithm_and_the_model_of_the_page_go_on_bit_for_bit(tmp_path, compose, monkeypatch):
-    write(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
+def test_the_algorithm_and_the_model_of_the_page_go_on_bit_for_bit(own_package, tmp_path, compose):
     own = ("model._target_=mypackage.residual.Residual", "allowed_targets=[mypackage.]")
     config = compose(
         "+experiment=obstacle_free", "compile=false", "num_envs=8", "pool_size=8",

@@ -9,6 +9,8 @@ import pytest
 import torch
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.singleton import Singleton
 from omegaconf import OmegaConf
 from torch.testing import assert_close
 
@@ -81,16 +83,12 @@ def test_another_application_of_hydra_is_left_as_it_is(compose):
     assert compose("seed=11")["seed"] == 11
 
 
-def test_nothing_of_hydra_is_left_where_there_was_nothing():
-    asked = """
-import resc
-resc.load("seed=3")
-from hydra.core.singleton import Singleton
-print({kind.__name__ for kind in Singleton._instances} & {"GlobalHydra", "HydraConfig"})
-"""
-    command = [sys.executable, "-c", asked]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert done.stdout == "set()\n", done.stderr
+def test_nothing_of_hydra_is_left_where_there_was_nothing(monkeypatch):
+    begun = {GlobalHydra, HydraConfig}
+    others = {kind: it for kind, it in Singleton._instances.items() if kind not in begun}
+    monkeypatch.setattr(Singleton, "_instances", others)
+    assert resc.load("seed=3")["seed"] == 3
+    assert begun.isdisjoint(Singleton._instances)
 
 
 def test_an_environment_is_that_of_training_wherever_it_is_made(make_env, tmp_path, monkeypatch):

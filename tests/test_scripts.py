@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import train
 from resc.starting.launch import launch
 
 ROOT = Path(__file__).parents[1]
@@ -81,15 +82,16 @@ def test_two_modes_at_once_get_one_sentence(refusal):
     assert refusal("-m", "--cfg", "job").startswith("error: Only one of --run, --multirun")
 
 
-def test_two_files_that_define_one_term_are_named(tmp_path):
+def test_two_files_that_define_one_term_are_named(call_script, capsys, tmp_path):
     (tmp_path / "reward").mkdir()
     (tmp_path / "reward" / "mine.yaml").write_text(
         "time:\n  _target_: resc.terms.rewards.time.Time\n  weight: 1.0\n"
     )
     search = f"hydra.searchpath=[file://{tmp_path}]"
-    done = start("train.py", search, "reward=[progress,time,mine]", f"hydra.run.dir={tmp_path}")
-    assert done.returncode == 1
-    assert "error: reward.time is defined by reward/time and reward/mine; keep one" in done.stderr
+    with pytest.raises(SystemExit, match="1"):
+        call_script(train, search, "reward=[progress,time,mine]", "hydra.run.dir=run")
+    told = capsys.readouterr().err
+    assert "error: reward.time is defined by reward/time and reward/mine; keep one" in told
 
 
 @pytest.mark.slow

@@ -28,6 +28,8 @@ from resc.planning.trajectory import Trajectory
 LIMITS = Limits(speed_mps=3.0, acceleration_mps2=6.0, jerk_mps3=20.0, margin_m=0.3)
 KEPT = read_references()
 PAPER = ("paper1_map11", "paper2_map12", "paper3_map13", "paper4_map15")
+POINTS = 5_000
+"""At which a flight is checked: every 2 ms of ten seconds."""
 FLIGHTS = [(key, kind) for key in KEPT for kind in ("fastest", "smooth")]
 
 
@@ -42,7 +44,7 @@ def made_up(corridor):
 @pytest.mark.parametrize(("key", "kind"), FLIGHTS)
 def test_stored_flight_keeps_to_its_limits(key, kind):
     flight, limits = getattr(KEPT[key], kind), KEPT[key].crossing.limits
-    _, velocity, acceleration = flight.at(np.linspace(0, flight.duration_s, 20_000))
+    _, velocity, acceleration = flight.at(np.linspace(0, flight.duration_s, POINTS))
     assert np.linalg.norm(velocity, axis=1).max() <= limits.speed_mps * 1.002
     assert np.linalg.norm(acceleration, axis=1).max() <= limits.acceleration_mps2 * 1.001
     assert np.linalg.norm(flight.jerk_mps3, axis=1).max() <= limits.jerk_mps3 * 1.005
@@ -51,7 +53,7 @@ def test_stored_flight_keeps_to_its_limits(key, kind):
 @pytest.mark.parametrize(("key", "kind"), FLIGHTS)
 def test_stored_flight_keeps_clear_of_every_obstacle_and_in_the_map(key, kind):
     flight, crossing = getattr(KEPT[key], kind), KEPT[key].crossing
-    points = flight.line(20_000)
+    points = flight.line(POINTS)
     for width, distance in ((4, box_distance), (3, pillar_distance)):
         kind_of = [shape for shape in crossing.boxes if len(shape) == width]
         if kind_of:
@@ -65,7 +67,7 @@ def test_stored_flight_keeps_clear_of_every_obstacle_and_in_the_map(key, kind):
 @pytest.mark.parametrize(("key", "kind"), FLIGHTS)
 def test_stored_flight_leads_without_a_jump_from_rest_at_the_start_to_the_goal(key, kind):
     flight, crossing = getattr(KEPT[key], kind), KEPT[key].crossing
-    times = np.linspace(0, flight.duration_s, 20_000)
+    times = np.linspace(0, flight.duration_s, POINTS)
     position, velocity, acceleration = flight.at(times)
     np.testing.assert_allclose(position[0], crossing.start_m, atol=1e-9)
     np.testing.assert_allclose(velocity[0], 0, atol=1e-9)

@@ -48,8 +48,8 @@ def test_scene_of_a_folder_of_ones_own_is_flown_from_elsewhere_by_the_shipped_po
         (ROOT / "conf" / "scene" / "paper4_map15.yaml").read_text()
     )
     search = f"hydra.searchpath=[file://{tmp_path}]"
-    small = ["scenes=mine", "flights=1", "recorder=none"]
-    code, told, said = evaluate(tmp_path / "out", search, *small, where=tmp_path)
+    short = ["scenes=mine", "flights=1", "recorder=none", "termination.time_limit.limit_s=0.5"]
+    code, told, said = evaluate(tmp_path / "out", search, *short, where=tmp_path)
     assert code == 0, said
     assert "mine" in told.splitlines()[0]
     assert told.rstrip() in (tmp_path / "out" / "evaluate.log").read_text()
