@@ -1,6 +1,7 @@
 """Training that begins with the weights of another run."""
 
 import shutil
+from pathlib import Path
 
 import pytest
 import torch
@@ -15,15 +16,23 @@ from resc.run_folder import CHECKPOINT, JOB
 from resc.settings import fingerprint
 
 
-@pytest.fixture
-def trained(compose, tmp_path):
-    """A trainer after two batches, and the folder of its policy."""
+@pytest.fixture(scope="module")
+def stored_once(compose, tmp_path_factory):
+    """A trainer after two batches, and the folder of its policy, for all tests."""
     config = compose(*SMALL, "model.normalization=running")
     trainer = TrainingRun(config).trainer()
     trainer.iterate()
     trainer.iterate()
-    TrainingRun(config).save_policy(tmp_path / "trained", trainer.algorithm, trainer.env.stages)
-    return trainer, tmp_path / "trained"
+    folder = tmp_path_factory.mktemp("init_from") / "trained"
+    TrainingRun(config).save_policy(folder, trainer.algorithm, trainer.env.stages)
+    return trainer, folder
+
+
+@pytest.fixture
+def trained(stored_once, tmp_path):
+    """The trainer, and a folder of its policy that a test may change."""
+    trainer, folder = stored_once
+    return trainer, Path(shutil.copytree(folder, tmp_path / "trained"))
 
 
 def begun(compose, folder, *overrides):

@@ -57,15 +57,15 @@ def test_ramp_of_limited_jerk_and_cruise_takes_the_time_of_its_closed_form():
 def test_flight_at_the_greatest_jerk_takes_the_time_of_its_closed_form():
     """j t^3 / 6."""
     endless = {"speed_mps": 100.0, "acceleration_mps2": 100.0}
-    found = straight(towards(9.5, **endless)).fastest
-    assert found.duration_s == pytest.approx((6 * 9.5 / 20) ** (1 / 3), rel=0.01)
+    found = straight(towards(2.0, **endless)).fastest
+    assert found.duration_s == pytest.approx((6 * 2.0 / 20) ** (1 / 3), rel=0.01)
 
 
 @solving
 def test_flight_at_the_greatest_acceleration_takes_the_time_of_its_closed_form():
     """a t^2 / 2."""
-    found = straight(towards(9.5, speed_mps=100.0, jerk_mps3=1e4), intervals=100).fastest
-    assert found.duration_s == pytest.approx(math.sqrt(2 * 9.5 / 6), rel=0.01)
+    found = straight(towards(2.0, speed_mps=100.0, jerk_mps3=1e4), intervals=100).fastest
+    assert found.duration_s == pytest.approx(math.sqrt(2 * 2.0 / 6), rel=0.02)
 
 
 @solving
