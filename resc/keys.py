@@ -66,6 +66,18 @@ BODY_RATE_COMMAND_B = _declare(("command", "body_rate_b"), (3,), "rad/s", "comma
 ROTOR_COMMAND = _declare(
     ("command", "rotor_thrust"), (4,), "N", "rotor thrust after rate loop and allocation"
 )
+THROTTLE_COMMAND = _declare(
+    ("command", "throttle"), (1,), "-", "collective thrust set-point of a flight controller, 0 to 1"
+)
+MOTOR_OUTPUT = _declare(
+    ("command", "motor_output"),
+    (4,),
+    "-",
+    "what each motor of a real flight is sent, in the order and unit of its log",
+)
+SPECIFIC_FORCE_B = _declare(
+    ("sensor", "specific_force_b"), (3,), "m/s^2", "acceleration without gravity, by accelerometer"
+)
 
 MASS = _declare(("params", "mass"), (1,), "kg", "mass")
 INERTIA_B = _declare(("params", "inertia_b"), (3,), "kg m^2", "diagonal of the inertia matrix")

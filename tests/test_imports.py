@@ -18,7 +18,7 @@ FLOORS = (
     {"terms"},
     {"envs"},
     {"planning", "policies", "recording"},
-    {"setup"},
+    {"setup", "flight_logs"},
     {"viewing", "flying", "door"},
     {"learning", "evaluation", "log_command"},
     {"studies"},

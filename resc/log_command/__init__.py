@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from resc.errors import ExitCode, RescError
-from resc.log_command import convert, look, mend
+from resc.log_command import convert, look, mend, real
 
 DESCRIPTION = """Look at recordings, convert and mend them.
 
@@ -19,7 +19,8 @@ EPILOG = """examples:
   resc-log plot runs/latest_train --episode 17 --out crash.png
 
 'resc-log COMMAND --help' describes a command. Exit codes: 0 done, 1 not done or something is wrong
-with the recording, 2 wrong arguments, 3 done but for what is said to be left out (recover, merge),
+with the recording, 2 wrong arguments, 3 done but for what is said to be left out (recover, merge,
+from-ulog),
 130 interrupted."""
 
 
@@ -32,7 +33,7 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for group in (look, convert, mend):
+    for group in (look, convert, mend, real):
         group.add_commands(commands)
     return parser
 

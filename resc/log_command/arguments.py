@@ -2,7 +2,8 @@
 
 import argparse
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,18 @@ def selected(log: RolloutLog, condition: str | None) -> Selection:
             'and length > 50".'
         ) from error
     return log.where(expression)
+
+
+@contextmanager
+def needing(extra: str) -> Iterator[None]:
+    """Says which extra brings the package whose import failed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise RecordingError(
+            f"The package '{error.name}' is not installed; it comes with the extra '{extra}': "
+            f"pip install 'resc[{extra}]'."
+        ) from error
 
 
 def output(given: argparse.Namespace, default: Path) -> Path:

@@ -1,8 +1,7 @@
 """Commands that write something else: scene, rerun, plot, parquet."""
 
 import argparse
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from resc.log_command.arguments import (
     add_output,
     add_recording,
     add_where,
+    needing,
     output,
     selected,
 )
@@ -85,18 +85,6 @@ def run_parquet(given: argparse.Namespace) -> int:
     rows = write_parquet(log if given.where is None else selected(log, given.where), path)
     print(f"{path}: {rows:,} rows, {path.stat().st_size / 1e6:,.1f} MB")
     return 0
-
-
-@contextmanager
-def needing(extra: str) -> Iterator[None]:
-    """Says which extra brings the package whose import failed."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        raise RecordingError(
-            f"The package '{error.name}' is not installed; it comes with the extra '{extra}': "
-            f"pip install 'resc[{extra}]'."
-        ) from error
 
 
 def _write_episode(given: argparse.Namespace, suffix: str, write: Writer) -> int:

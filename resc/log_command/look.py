@@ -84,11 +84,11 @@ def run_info(given: argparse.Namespace) -> int:
     for name, value in facts.items():
         print(f"{name:<{width}}{value}")
     print("\ncolumns")
+    width = max(22, *(len(".".join(column.key)) + 1 for column in log.columns))
     for column in log.columns:
         key, parts = ".".join(column.key), ", ".join(column.components)
-        print(
-            f"  {key:<22}{column.dtype_name:<9}{column.unit:<7}{column.frame:<15}{parts}".rstrip()
-        )
+        unit = f"{column.dtype_name:<9}{column.unit:<7}{column.frame:<15}"
+        print(f"  {key:<{width}}{unit}{parts}".rstrip())
     return 0
 
 

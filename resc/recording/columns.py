@@ -36,6 +36,15 @@ REWARD_TERMS = ("reward_terms",)
 FLOWN = (*(column.key for column in STATE_COLUMNS), keys.ACTION)
 """What pictures and scenes are drawn from: the state before a step, and what was flown in it."""
 
+FLIGHT_COLUMNS = (
+    *STATE_COLUMNS,
+    Column(keys.BODY_RATE_COMMAND_B, ("x", "y", "z"), "float32", "rad/s", "body"),
+    Column(keys.THROTTLE_COMMAND, (), "float32", "-"),
+    Column(keys.MOTOR_OUTPUT, ("m1", "m2", "m3", "m4"), "float32", "-"),
+    Column(keys.SPECIFIC_FORCE_B, ("x", "y", "z"), "float32", "m/s^2", "body"),
+)
+"""What a recording of a real flight may hold: set-points in place of actions, and no rewards."""
+
 
 def before_step(kept: Collection[keys.NestedKey]) -> tuple[Column, ...]:
     """Columns of what is known before a step, of a world that keeps these keys."""

@@ -43,7 +43,7 @@ def commands():
 
 
 def test_all_commands_are_there():
-    expected = "check episodes info merge parquet plot recover rerun scene schema"
+    expected = "check episodes from-ulog info merge parquet plot recover rerun scene schema"
     assert commands() == expected.split()
 
 
