@@ -4,6 +4,7 @@ torch.compile cannot trace the wrappers of the tests' type checker, and an impor
 get rid of them.
 """
 
+import functools
 import sys
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from resc.setup import set_up
 ROWS = 3
 
 
+@functools.cache
 def make_env(*, compiled):
     resc.schema.register()
     with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
