@@ -22,7 +22,7 @@ from resc.flight_logs.vehicle_kind import TOPICS as KIND_TOPICS
 from resc.flight_logs.vehicle_kind import kind_of
 from resc.recording.columns import FLAGS, FLIGHT_COLUMNS
 from resc.recording.schema import Column
-from resc.recording.segments import PATTERN
+from resc.recording.segment import PATTERN
 from resc.recording.writer import RolloutRecorder
 from resc.run_folder import provenance, replacing
 
@@ -192,7 +192,8 @@ def _facts(flight: Flight) -> dict[str, str]:
 def _notes(flight: Flight) -> list[str]:
     """What is missing, damaged or unusual."""
     log, times = flight.log, flight.times_s
-    notes = [f"No {name}: {reason}." for name, reason in flight.signals.lacking.items()]
+    lacking = flight.signals.lacking
+    notes = [f"No {name}: {lacking[name]}." for name in _QUANTITIES.values() if name in lacking]
     if flight.episodes[0][2] == "never_armed":
         notes.append("The motors were never armed: the whole log is one episode.")
     if flight.episodes[0][2] == "arming_unknown":
