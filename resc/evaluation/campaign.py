@@ -76,7 +76,7 @@ class Evaluation:
         began = time.perf_counter()
         contest = self._contest()
         folder.mkdir(parents=True, exist_ok=True)
-        OmegaConf.save(OmegaConf.create(dict(contest.rules[False].asked)), folder / "config.yaml")
+        OmegaConf.save(OmegaConf.create(dict(self.asked)), folder / "config.yaml")
         results = self._fly_all(contest, folder)
         flying_s = sum(result.flying_s for result in results)
         frames = sum(result.frames for result in results)
@@ -164,25 +164,39 @@ class Evaluation:
         drawn, seen = trained.get("randomization"), trained.get("observation")
         return dial_of(drawn, seen, self.config["allowed_targets"])
 
+    @cached_property
+    def _rules(self) -> dict[bool, Rules]:
+        """What is flown under, by whether the scenes bring their own routes."""
+        return {own: Rules(self.asked, self._trained, own, self.overrides) for own in (False, True)}
+
+    def check(self) -> None:
+        """Looks at all that can be wrong before any scene is laid out.
+
+        Raises:
+            ConfigError: A number or a combination is wrong, or a pilot cannot fly this environment.
+            CheckpointError: The policy expects another observation than its configuration
+                describes.
+        """
+        if self.config["scene_files"] < 0:
+            raise ConfigError(f"scene_files is {self.config['scene_files']}; expected 0 or more.")
+        for pilot in self.pilots:
+            pilot.check(self._rules[False].stages)
+
     def _contest(self) -> Contest:
         """What the pilots fly: everything checked, laid out and planned."""
+        self.check()
         config, scenes, allowed = self.config, self.scenes, self.config["allowed_targets"]
-        if config["scene_files"] < 0:
-            raise ConfigError(f"scene_files is {config['scene_files']}; expected 0 or more.")
         references = read_references(Path(config["references"]) if config["references"] else None)
         if self._dial and "clearance_m" not in (config["scene"] or {}):
             scenes = commanded_scenes(scenes, self._dial, self.limits)
         asked, trained = self.asked, self._trained
-        rules = {own: Rules(asked, trained, own, self.overrides) for own in (False, True)}
-        for pilot in self.pilots:
-            pilot.check(rules[False].stages)
         # Planned as on the maps of the policy.
         env = {**trained["env"], **(asked["env"] or {})}
         planner = planner_for(search=asked["search"], task=asked["task"], env=env, allowed=allowed)
         suite = config["suite"] if config["scenes"] is None else None
         amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
         courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
-        return Contest(courses, rules, self.limits, references, config["scene_files"])
+        return Contest(courses, self._rules, self.limits, references, config["scene_files"])
 
     def _fly_all(self, contest: Contest, folder: Path) -> list[Result]:
         """What comes of every pilot: several have a folder each, one leaves all in `folder`."""

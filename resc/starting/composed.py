@@ -10,9 +10,11 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.object_type import ObjectType
 from hydra.core.plugins import Plugins
+from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigSource
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from resc.errors import ConfigError, nearest
 
@@ -49,6 +51,35 @@ def suites() -> dict[str, list[str]]:
     """The suites that the run takes, and the scenes that the file of each names."""
     found = files_of_lists(("suite",))
     return {path.rpartition("/")[2]: [str(name) for name in content] for path, _, content in found}
+
+
+def files_of(group: str) -> dict[str, DictConfig]:
+    """All files of a folder of the configuration that the run can see, by name."""
+    found: dict[str, DictConfig] = {}
+    for source in sources_of_run():
+        if source.is_group(group):
+            for name in source.list(group, ObjectType.CONFIG):
+                path = f"{group}/{name}"
+                found.setdefault(name, cast(DictConfig, source.load_config(path).config))
+    return found
+
+
+def composed_with(overrides: Sequence[str]) -> DictConfig:
+    """The run's configuration as it would be with these overrides after its own, resolved.
+
+    Raises:
+        ConfigError: One of them names nothing that there is.
+    """
+    hydra = HydraConfig.get()
+    search = [text for text in hydra.overrides.hydra if "searchpath" in text]
+    every = [*search, *given(), *overrides]
+    try:
+        config = compose(hydra.job.config_name, every)
+    except (HydraException, OmegaConfBaseException) as error:
+        told = str(error.__cause__ or error).partition("\n")[0]
+        raise ConfigError(f"{', '.join(overrides)} cannot be composed: {told}") from None
+    OmegaConf.resolve(config)
+    return config
 
 
 def compose_scenes(names: Sequence[str], numbers: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
