@@ -136,8 +136,13 @@ def as_evaluation(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     Raises:
         ConfigError: A setting is not the user's.
     """
-    if any(text in SHOWING for text in arguments):
-        sys.exit(__doc__)
+    if any(text in ("-h", "--help") for text in arguments):
+        print(__doc__)
+        sys.exit()
+    if shown := [text for text in arguments if text in SHOWING]:
+        raise ConfigError(
+            f"{shown[0]} shows settings, and this flies; leave it out, or give it to evaluate.py."
+        )
     if any(text in ("-m", "--multirun") for text in arguments):
         raise ConfigError("All conditions are flown one after the other; leave out -m.")
     named = [text.removeprefix(ASKED) for text in arguments if text.startswith(ASKED)]
