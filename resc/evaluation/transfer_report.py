@@ -94,7 +94,7 @@ def line_of(flown: Flown, nominal: Flown) -> Line:
     """The numbers of a condition, beside the nominal one, flight by flight."""
     success = flown.success
     time_s, nominal_s = (each.numbers("time_within_half_metre") for each in (flown, nominal))
-    both = success & nominal.success
+    both, over_bound = success & nominal.success, time_s / flown.numbers("bound")
     own = {name: np.asarray(column) for name, column in flown.columns.items()}
     independent = effective_flights(success, clusters(own)[0])
     low, high = wilson_interval(float(success.mean()) * independent, independent)
@@ -108,7 +108,7 @@ def line_of(flown: Flown, nominal: Flown) -> Line:
         high=high,
         to_nominal=float(success.mean() - nominal.success.mean()),
         time_to_nominal=median((time_s / nominal_s)[both]),
-        time_over_bound=median((time_s / flown.numbers("bound"))[success]),
+        time_over_bound=median(over_bound[success & ~np.isnan(over_bound)]),
         closer=float((clearance_m < flown.numbers("margin")).mean()),
         median_clearance_m=median(clearance_m),
         least_clearance_m=float(clearance_m.min()),

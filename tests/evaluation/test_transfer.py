@@ -104,10 +104,9 @@ def mine(tmp_path_factory):
     """A folder with a condition of the user's own."""
     folder = tmp_path_factory.mktemp("mine")
     (folder / "condition").mkdir()
-    text = (
-        "title: heavier\noverrides:\n  - randomization=[mass]\n  - randomization.mass.spread=0.3\n"
-    )
-    (folder / "condition" / "heavier.yaml").write_text(text)
+    overrides = ["randomization=[mass]", "randomization.mass.spread=0.3"]
+    condition = OmegaConf.create({"title": "heavier", "overrides": overrides})
+    OmegaConf.save(condition, folder / "condition" / "heavier.yaml")
     return folder
 
 
