@@ -170,6 +170,15 @@ MOCAP_POSITION_W = _declare(
 MOCAP_ATTITUDE_WB = _declare(
     ("sensor", "mocap_attitude_wb"), (4,), "-", "last attitude that motion capture delivered"
 )
+MOCAP_PAST = _declare(
+    ("sensor", "mocap_past"),
+    ("b", 10),
+    "m, m/s, -",
+    "positions, velocities and attitudes at the steps before, newest first",
+)
+MOCAP_HIDDEN = _declare(
+    ("sensor", "mocap_hidden"), (1,), "s", "for how long motion capture does not see the vehicle"
+)
 MOCAP_FRESH = _declare(
     ("sensor", "mocap_fresh"),
     (1,),
@@ -189,6 +198,30 @@ IMU_MEAN_RATE_B = _declare(
 IMU_BODY_RATE_B = _declare(
     ("sensor", "imu_body_rate_b"), (3,), "rad/s", "gyroscope: its reading now"
 )
+
+IMU_BIAS_B = _declare(
+    ("sensor", "imu_bias_b"),
+    (6,),
+    "m/s^2, rad/s",
+    "what is added to the accelerometer's and the gyroscope's readings, the same all episode",
+)
+
+FILTER_MEAN = _declare(
+    ("estimate", "filter_mean"), ("d", "c"), "", "state of a filter when the last frame was taken"
+)
+FILTER_ATTITUDE_WB = _declare(
+    ("estimate", "filter_attitude_wb"), (4,), "-", "its attitude, body to world"
+)
+FILTER_COVARIANCE = _declare(
+    ("estimate", "filter_covariance"), ("d", "d"), "", "covariance of its error"
+)
+FILTER_INPUTS = _declare(
+    ("estimate", "filter_inputs"),
+    ("b", 6),
+    "m/s^2, rad/s",
+    "readings of accelerometer and gyroscope in the last steps, newest first",
+)
+FRAME_AGE = _declare(("estimate", "frame_age"), (1,), "s", "time since the last frame arrived")
 
 ESTIMATED_POSITION_W = _declare(("estimate", "position_w"), (3,), "m", "estimate of the position")
 ESTIMATED_VELOCITY_W = _declare(("estimate", "velocity_w"), (3,), "m/s", "estimate of the velocity")

@@ -19,7 +19,7 @@ from resc.quantities import NotNegative, checked
 from resc.scenes.laid_out import LaidOut
 from resc.scenes.layout import PARKED_M, Layout, Scene
 from resc.scenes.pool import ScenePool
-from resc.term import Curriculum, Observation, Term
+from resc.term import Curriculum, Device, Observation, Term
 
 CRITIC = "observation_critic"
 """First part of the keys of what the value function alone sees."""
@@ -146,6 +146,7 @@ def build_stages(config: Mapping[str, Any]) -> Stages:
         vehicle=vehicle,
         longest_delay_steps=terms.action.longest_delay_steps,
         clearance_m=kept,
+        latency_s=max((d.latency_s for d in terms.sensors if isinstance(d, Device)), default=0.0),
     )
     return Stages(terms, context, without_difficulty(scene, "scene")[1])
 

@@ -35,6 +35,7 @@ class Context:
         longest_delay_steps: What the action's queue holds; None where it is not known.
         clearance_m: Least and greatest distance that the routes of the scenes keep; None where they
             do not say.
+        latency_s: Greatest age of a device's reading when it arrives.
     """
 
     dt_s: Annotated[float, Within(1e-4, 0.5)]
@@ -44,6 +45,7 @@ class Context:
     history: Count = 1
     longest_delay_steps: int | None = None
     clearance_m: Sequence[float] | None = None
+    latency_s: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("dt_s", "resolution_m"):
@@ -200,7 +202,7 @@ class Estimator(Term):
     An episode begins with the `compute` of its step 0, in which no time has passed.
     """
 
-    writes = tuple(keys.ESTIMATES.values())
+    writes: ClassVar[tuple[NestedKey, ...]] = tuple(keys.ESTIMATES.values())
 
     @property
     def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]

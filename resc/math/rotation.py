@@ -91,6 +91,17 @@ def inverse(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
     return torch.cat((attitude[..., :1], -attitude[..., 1:]), -1)
 
 
+def matrix_from_quaternion(attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]:
+    """The rotation matrix: body to world."""
+    w, x, y, z = attitude.unbind(-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
 def quaternion_from_vector(vector: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
     """The rotation about the vector's direction by its length [rad]: (cos(a/2), u sin(a/2))."""
     square = vector.square().sum(-1, keepdim=True)
