@@ -15,6 +15,7 @@ Convert = Callable[[np.ndarray], np.ndarray]
 ATTITUDE, RATE, POSITION, VELOCITY = "attitude", "body rate", "position", "velocity"
 RATE_COMMAND, THRUST_COMMAND = "rate set-point", "thrust set-point"
 MOTORS, FORCE, ARMED = "motor outputs", "specific force", "armed"
+LANDED = "landed"
 MOTOR_COUNT = 4
 
 
@@ -104,6 +105,7 @@ TABLE: Mapping[str, tuple[Candidate, ...]] = {
         Candidate("vehicle_status", ("arming_state",), _is_armed_state),
         Candidate("vehicle_control_mode", ("flag_armed",)),
     ),
+    LANDED: (Candidate("vehicle_land_detected", ("landed",)),),
 }  # fmt: skip
 """For each quantity the topics that tell it, the best first."""
 TOPICS = tuple(dict.fromkeys(c.topic for candidates in TABLE.values() for c in candidates))

@@ -9,13 +9,14 @@ from resc.errors import RecordingError
 from resc.flight_logs.signals import (
     ARMED,
     ATTITUDE,
+    LANDED,
     MOTORS,
     RATE_COMMAND,
     THRUST_COMMAND,
     Signal,
 )
 
-HELD = (RATE_COMMAND, THRUST_COMMAND, MOTORS, ARMED)
+HELD = (RATE_COMMAND, THRUST_COMMAND, MOTORS, ARMED, LANDED)
 """Quantities that keep their value until the next message; the others are interpolated."""
 _GAP_STEPS = 5
 GREATEST = 1e9

@@ -15,6 +15,7 @@ from resc.recording.location import recordings_at
 from resc.recording.reader import RolloutLog
 from resc.recording.selection import Selection
 
+PICTURES = (".png", ".pdf", ".svg")
 Run = Callable[[argparse.Namespace], int]
 
 
@@ -108,6 +109,18 @@ def needing(extra: str) -> Iterator[None]:
             f"The package '{error.name}' is not installed; it comes with the extra '{extra}': "
             f"pip install 'resc[{extra}]'."
         ) from error
+
+
+def require_picture(path: Path | None) -> None:
+    """Refuses a name for a picture that no picture has.
+
+    Raises:
+        RecordingError: It ends otherwise.
+    """
+    if path is not None and path.suffix.lower() not in ("", *PICTURES):
+        raise RecordingError(
+            f"{path} does not end with {', '.join(PICTURES)}; name such a file with --out."
+        )
 
 
 def output(given: argparse.Namespace, default: Path) -> Path:

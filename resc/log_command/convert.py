@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from resc.errors import RecordingError
 from resc.log_command.arguments import (
     add_allow,
     add_command,
@@ -16,13 +15,13 @@ from resc.log_command.arguments import (
     add_where,
     needing,
     output,
+    require_picture,
     selected,
 )
 from resc.recording.listing import require_index
 from resc.recording.reader import RolloutLog
 
 Writer = Callable[[RolloutLog, int, Path], object]
-PICTURES = (".png", ".pdf", ".svg")
 
 
 def add_commands(commands: Any) -> None:  # noqa: ANN401
@@ -69,10 +68,7 @@ def run_plot(given: argparse.Namespace) -> int:
     """Draws an episode."""
     from resc.viewing.plot import draw_episode
 
-    if given.out is not None and given.out.suffix.lower() not in ("", *PICTURES):
-        raise RecordingError(
-            f"{given.out} does not end with {', '.join(PICTURES)}; name such a file with --out."
-        )
+    require_picture(given.out)
     return _write_episode(given, "png", draw_episode)
 
 

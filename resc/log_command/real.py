@@ -1,14 +1,30 @@
-"""Commands for real flights: from-ulog."""
+"""Commands for real flights: from-ulog, identify."""
 
 import argparse
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from resc.errors import ExitCode
-from resc.log_command.arguments import add_command, add_output, needing, output
+from resc.log_command.arguments import (
+    add_command,
+    add_output,
+    needing,
+    output,
+    require_picture,
+)
+from resc.recording.reader import RolloutLog
+
+if TYPE_CHECKING:
+    from resc.flight_logs.models import LoopModel
+    from resc.flight_logs.rate_response import Response
+    from resc.flight_logs.thrust_curve import ThrustCurve
+    from resc.flight_logs.trace import Trace
 
 _DT_S = 0.02
+_MODEL = "imp250"
 
 
 def add_commands(commands: Any) -> None:  # noqa: ANN401
@@ -25,6 +41,20 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         "--dt", type=_step, default=_DT_S, metavar="S", help=f"control step [s]; default: {_DT_S}"
     )
     add_output(from_ulog, "LOG.mcap in this folder")
+    identify = add_command(
+        commands,
+        "identify",
+        run_identify,
+        "how the body rates follow their set-points, and thrust its own, beside a model's",
+        "resc-log identify flight.ulg --model iris --out response.png",
+    )
+    identify.add_argument(
+        "recording", metavar="RECORDING", help=".ulg file of PX4, or file, folder, run or pattern"
+    )
+    identify.add_argument(
+        "--model", default=_MODEL, metavar="NAME", help=f"to compare with; default: {_MODEL}"
+    )
+    add_output(identify, "response.png in this folder")
 
 
 def run_from_ulog(given: argparse.Namespace) -> int:
@@ -46,6 +76,70 @@ def run_from_ulog(given: argparse.Namespace) -> int:
     if log.cut:
         print(f"  left out: {log.path} is cut or damaged; what could be read of it is recorded.")
     return ExitCode.UNFINISHED if log.cut else ExitCode.DONE
+
+
+def run_identify(given: argparse.Namespace) -> int:
+    """Prints and draws what a log shows of the rate loop."""
+    from resc.flight_logs.models import loop_model
+    from resc.flight_logs.rate_response import AXES, rate_responses
+    from resc.flight_logs.thrust_curve import thrust_curve
+    from resc.flight_logs.trace import trace_of_recording
+    from resc.flight_logs.ulog import is_ulog
+    from resc.viewing.response_picture import draw_responses
+
+    model = loop_model(given.model)
+    require_picture(given.out)
+    place = Path(given.recording)
+    if is_ulog(place) or place.suffix == ".ulg":
+        trace = _trace_of_log(place)
+    else:
+        trace = trace_of_recording(RolloutLog(given.recording))
+    results = rate_responses(trace, model.respond)
+    curve = thrust_curve(trace)
+    path = output(given, Path("response.png"))
+    draw_responses(results, curve, model, trace.name, path)
+    flown = sum(last - first for first, last in trace.spans)
+    print(f"{trace.name}: {flown:.1f} s of flight, rates at {trace.rate.rate_hz:.0f} Hz")
+    print(f"{'':<7}{'':<18}{'n':>5}{'t10 s':>8}{'t63 s':>8}{'t90 s':>8}{'overshoot':>11}")
+    for axis, result in zip(AXES, results, strict=True):
+        if result.measured is None:
+            print(f"{axis:<7}{result.reason}")
+        for origin, response in (("log", result.measured), (model.name, result.modelled)):
+            if response is not None:
+                print(_line(axis, f"{origin}, {response.method}", response))
+    _print_curve(curve, model)
+    print(path)
+    return ExitCode.DONE
+
+
+def _trace_of_log(path: Path) -> "Trace":
+    with needing("px4"):
+        import pyulog  # noqa: F401
+    from resc.flight_logs.trace import trace_of_log
+
+    return trace_of_log(path)
+
+
+def _line(axis: str, origin: str, response: "Response") -> str:
+    times = [response.reach_s(level) for level in (0.1, 0.63, 0.9)]
+    cells = "".join(f"{'-':>8}" if time is None else f"{time:>8.3f}" for time in times)
+    told = "" if response.explained is None else f"  explains {response.explained:.0%}"
+    begun = f"{axis:<7}{origin:<18}"
+    return f"{begun:<25}{response.count:>5}{cells}{response.overshoot:>11.1%}{told}"
+
+
+def _print_curve(curve: "ThrustCurve | str", model: "LoopModel") -> None:
+    if isinstance(curve, str):
+        print(f"thrust: {curve}")
+        return
+    told = "a line: the set-points are too close to each other for a curve"
+    if curve.curvature is not None:
+        told = f"THR_MDL_FAC {curve.curvature:.2f}"
+    full = float(model.specific_thrust(np.ones(1))[0])
+    print(
+        f"thrust: {curve.full_mps2:.1f} m/s^2 at full set-point ({model.name}: {full:.1f}), "
+        f"hover at {curve.hover:.3f}, {told}, {curve.count.sum():.0f} samples"
+    )
 
 
 def _step(text: str) -> float:

@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import matplotlib as mpl
 import numpy as np
-import torch
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
@@ -20,6 +19,7 @@ from resc import keys
 from resc.errors import RecordingError
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
+from resc.recording.commands import rate_command
 from resc.recording.configuration import nodes_in, numbers_at
 from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
@@ -38,7 +38,6 @@ _COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 """Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""
 _MARGIN_M, _LEAST_M = 1.5, 6.0
 """What is shown around a flight and its route, and the least width of it."""
-_RATE_LIMIT = "rate_limit_radps"
 _COLLISIONS = (
     "resc.terms.terminations.collision.Collision",
     "resc.terms.terminations.contact.Contact",
@@ -87,23 +86,6 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
         )
         with replacing(path, RecordingError) as unfinished:
             figure.savefig(unfinished, dpi=130, format=path.suffix.removeprefix(".") or "png")
-
-
-def rate_command(log: RolloutLog, episode: int, steps: TensorDict) -> Float[np.ndarray, "t 3"]:
-    """Body rates [rad/s] asked of the rate loop in each step of an episode.
-
-    omega = clip(a, -1, 1) limit, of the action a as many steps ago as the episode's delay; before
-    the first one those that waited in its queue.
-
-    Raises:
-        RecordingError: The stored configuration has no rate limits, or no start is recorded.
-    """
-    limit = numbers_at(log.config, f"action.{_RATE_LIMIT}", 3)
-    start = log.start(episode)
-    waiting = _tensor(start, keys.ACTION_QUEUE)
-    delay = min(int(_tensor(start, keys.ACTION_DELAY)), len(waiting) - 1)
-    actions = torch.cat((waiting[:delay].flip(0), _tensor(steps, keys.ACTION)))[: len(steps)]
-    return (actions[:, :3].clamp(-1, 1) * torch.tensor(limit)).numpy()
 
 
 def inflation_m(log: RolloutLog, episode: int) -> float:

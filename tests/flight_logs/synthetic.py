@@ -130,3 +130,70 @@ def flight(seconds=4.0, rate_hz=250.0, armed=((1.0, 3.0),), modern=True):
 
 
 QUADROTOR = {"MAV_TYPE": 2, "SYS_AUTOSTART": 4001}
+
+
+def answers(set_points, dt_s, delay_s=0.02, constant_s=0.06, damping=0.7):
+    """Rates of a loop of second order after a delay: what identification has to find."""
+    rates, speed = np.zeros_like(set_points), np.zeros(set_points.shape[1])
+    frequency = 1 / constant_s
+    late = round(delay_s / dt_s)
+    for i in range(1, len(rates)):
+        asked = set_points[max(0, i - 1 - late)]
+        turn = frequency**2 * (asked - rates[i - 1]) - 2 * damping * frequency * speed
+        speed = speed + dt_s * turn
+        rates[i] = rates[i - 1] + dt_s * speed
+    return rates
+
+
+def loop_flight(set_points, dt_s=0.004, noise=0.02, full=25.0, curvature=0.3, **loop):
+    """A flight in which the loop of `answers` follows set-points [t, 3] in our frame, FLU."""
+    generator = np.random.default_rng(1)
+    t = np.arange(len(set_points)) * dt_s
+    flip = np.array([1.0, -1.0, -1.0])
+    every = round(0.02 / dt_s)
+    set_points = np.repeat(set_points[::every], every, 0)[: len(t)]
+    rates = answers(set_points, dt_s, **loop) + noise * generator.standard_normal((len(t), 3))
+    u = 0.5 + 0.25 * np.sin(0.5 * t)
+    force = np.zeros((len(t), 3))
+    force[:, 2] = -full * (curvature * u**2 + (1 - curvature) * u)
+    force += 0.3 * generator.standard_normal(force.shape)
+    q = np.tile([1.0, 0, 0, 0], (len(t), 1))
+    f4 = np.float32
+    asked, thrust = (set_points * flip).astype(f4)[::every], np.zeros((len(t[::every]), 3), f4)
+    thrust[:, 2] = -u[::every]
+    return {
+        ("vehicle_attitude", 0): {"time_s": t, "q": q.astype(f4)},
+        ("vehicle_angular_velocity", 0): {"time_s": t, "xyz": (rates * flip).astype(f4)},
+        ("vehicle_acceleration", 0): {"time_s": t, "xyz": force.astype(f4)},
+        ("vehicle_rates_setpoint", 0): {
+            "time_s": t[::every], "roll": asked[:, 0], "pitch": asked[:, 1], "yaw": asked[:, 2],
+            "thrust_body": thrust,
+        },
+        ("actuator_armed", 0): {"time_s": t[::125], "armed": np.ones(len(t[::125]), bool)},
+    }  # fmt: skip
+
+
+def doublets(dt_s=0.004, repeats=4):
+    """Steps of 1 rad/s up and down, half a second each, one axis after the other."""
+    rest, held = round(0.8 / dt_s), round(0.5 / dt_s)
+    parts = []
+    for axis in range(3):
+        for _ in range(repeats):
+            part = np.zeros((2 * rest + 2 * held, 3))
+            part[rest : rest + held, axis] = 1.0
+            part[2 * rest + held :, axis] = -1.0
+            parts.append(part)
+    return np.concatenate(parts)
+
+
+def wandering(seconds=40.0, dt_s=0.004, hertz=3.0):
+    """Set-points without steps, as an attitude controller asks for them."""
+    generator = np.random.default_rng(2)
+    values = generator.standard_normal((round(seconds / dt_s), 3))
+    state = np.zeros((2, 3))
+    share = dt_s * 2 * np.pi * hertz
+    for i in range(len(values)):
+        state[0] += share * (values[i] - state[0])
+        state[1] += share * (state[0] - state[1])
+        values[i] = state[1]
+    return values / values.std(0)

@@ -6,25 +6,10 @@ import torch
 from synthetic import QUADROTOR, START_US, flight, ulog
 
 from resc import keys
-from resc.log_command import main
 from resc.recording import RolloutLog
 from resc.recording.check import check
 
 pytest.importorskip("pyulog")
-
-
-@pytest.fixture
-def call(capsys, monkeypatch, tmp_path):
-    """Calls a command in an empty folder: exit code, output and errors."""
-    monkeypatch.chdir(tmp_path)
-
-    def called(*arguments):
-        with pytest.raises(SystemExit) as exit_:
-            main([str(argument) for argument in arguments])
-        code, (out, errors) = exit_.value.code, capsys.readouterr()
-        return (1, out, code) if isinstance(code, str) else (int(code or 0), out, errors)
-
-    return called
 
 
 @pytest.fixture

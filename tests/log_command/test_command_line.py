@@ -43,7 +43,9 @@ def commands():
 
 
 def test_all_commands_are_there():
-    expected = "check episodes from-ulog info merge parquet plot recover rerun scene schema"
+    expected = (
+        "check episodes from-ulog identify info merge parquet plot recover rerun scene schema"
+    )
     assert commands() == expected.split()
 
 
@@ -179,7 +181,7 @@ def shortened(first, last):
 
 
 def test_commanded_rates_are_actions_scaled_and_delayed(run):
-    from resc.viewing.plot import rate_command
+    from resc.recording.commands import rate_command
 
     log = RolloutLog(run)
     steps = log.episode(2)

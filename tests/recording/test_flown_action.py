@@ -15,13 +15,13 @@ from resc.learning.training import record_batch
 from resc.learning.training_run import TrainingRun
 from resc.recording import RolloutLog
 from resc.recording.check import check
+from resc.recording.commands import rate_command
 from resc.recording.rewrite import merge, recover
 from resc.recording.rollouts import record_world
 from resc.recording.schema import ACTION, SAMPLED_ACTION
 from resc.viewing.appearance import scene_numbers
 from resc.viewing.episode_scene import load_scene
 from resc.viewing.foxglove import write_scene
-from resc.viewing.plot import rate_command
 
 SMALL = (
     "num_envs=4", "pool_size=4", "renew_scenes=0", "obstacle_observation=none",
