@@ -209,7 +209,7 @@ def deconvolved(
     )
 
 
-Equations = tuple[Float[np.ndarray, "t k"], Float[np.ndarray, " t"]]
+Equations = tuple[Float[np.ndarray, "w k"], Float[np.ndarray, " w"]]
 
 
 def _equations(u: Float[np.ndarray, " t"], y: Float[np.ndarray, " t"], length: int) -> Equations:
