@@ -20,15 +20,13 @@ from resc.flight_logs.time_base import GREATEST, longest_gap, sampled, stretches
 from resc.flight_logs.ulog import Ulog, read_ulog
 from resc.flight_logs.vehicle_kind import TOPICS as KIND_TOPICS
 from resc.flight_logs.vehicle_kind import kind_of
-from resc.recording.columns import FLAGS, FLIGHT_COLUMNS
+from resc.recording.columns import FLAGS, FLIGHT_COLUMNS, REAL
 from resc.recording.schema import Column
 from resc.recording.segment import PATTERN
 from resc.recording.writer import RolloutRecorder
 from resc.run_folder import provenance, replacing
 
 PARAMETERS = "parameters.json"
-SOURCE = "px4"
-"""What the metadata `source` of such a recording says."""
 NEEDED = (told.ATTITUDE, told.RATE)
 OUTCOMES = ("disarmed", "log_ended", "never_armed", "arming_unknown")
 """How a stretch of a flight ends: the motors are stopped, the log is at its end, or no flight."""
@@ -178,7 +176,7 @@ def _facts(flight: Flight) -> dict[str, str]:
     version = {"firmware": "ver_sw", "board": "ver_hw"}
     told_by = {name: signal.topic for name, signal in found.items()}
     return {
-        "source": SOURCE,
+        "source": REAL,
         "log": log.path.name,
         "vehicle": flight.kind,
         "airframe": f"{log.parameters.get('SYS_AUTOSTART', 0):.0f}",

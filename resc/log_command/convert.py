@@ -66,10 +66,10 @@ def run_rerun(given: argparse.Namespace) -> int:
 
 def run_plot(given: argparse.Namespace) -> int:
     """Draws an episode."""
-    from resc.viewing.plot import draw_episode
+    from resc.viewing.plot import draw
 
     require_picture(given.out)
-    return _write_episode(given, "png", draw_episode)
+    return _write_episode(given, "png", draw)
 
 
 def run_parquet(given: argparse.Namespace) -> int:

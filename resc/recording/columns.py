@@ -36,6 +36,8 @@ REWARD_TERMS = ("reward_terms",)
 FLOWN = (*(column.key for column in STATE_COLUMNS), keys.ACTION)
 """What pictures and scenes are drawn from: the state before a step, and what was flown in it."""
 
+REAL = "px4"
+"""What the metadata `source` of the recording of a real flight says."""
 FLIGHT_COLUMNS = (
     *STATE_COLUMNS,
     Column(keys.BODY_RATE_COMMAND_B, ("x", "y", "z"), "float32", "rad/s", "body"),

@@ -15,11 +15,12 @@ from torch import Tensor
 
 from resc import keys
 from resc.build import ALLOWED, build, build_terms
+from resc.errors import RecordingError
 from resc.groups import NEEDED as NEEDED_GROUPS
 from resc.maps.cells import extent_of, shape_of
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
-from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
+from resc.recording.columns import FLOWN, REAL, REWARD_TERMS, require_columns
 from resc.recording.configuration import nodes_in, numbers_at, require_groups
 from resc.recording.reader import RolloutLog
 from resc.scenes.layout import PARKED_M, rasterize
@@ -119,6 +120,11 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
     Raises:
         RecordingError: The recording lacks something that a scene needs.
     """
+    if log.metadata.get("source") == REAL:
+        raise RecordingError(
+            f"{log.files[0]} is of a real flight, which has no scene and no rewards; draw it with "
+            "resc-log plot."
+        )
     steps = log.episode(episode)
     require_columns(steps, NEEDED, "a scene")
     stored = log.config

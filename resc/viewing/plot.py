@@ -1,6 +1,6 @@
 """One recorded episode as a picture: where it flew, and how it moved over time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import RecordingError
 from resc.math.rotation import euler_from_quaternion
-from resc.recording.columns import FLOWN, REWARD_TERMS, require_columns
+from resc.recording.columns import FLOWN, REAL, REWARD_TERMS, require_columns
 from resc.recording.commands import rate_command
 from resc.recording.configuration import nodes_in, numbers_at
 from resc.recording.reader import RolloutLog
@@ -49,6 +49,54 @@ _BESIDE = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
 """Where legends go that would hide curves."""
 
 
+def draw(log: RolloutLog, episode: int, path: Path) -> None:
+    """Draws an episode, simulated or real.
+
+    Raises:
+        RecordingError: The recording lacks a column, the scene or the configuration.
+    """
+    real = log.metadata.get("source") == REAL
+    (draw_flight if real else draw_episode)(log, episode, path)
+
+
+def draw_flight(log: RolloutLog, episode: int, path: Path) -> None:
+    """Draws a real flight: its path from above, velocity, attitude, body rates, thrust, motors.
+
+    What the log lacks is left out.
+    """
+    facts, steps = log.episodes.row(episode, named=True), log.episode(episode)
+    require_columns(steps, (keys.ATTITUDE_WB, keys.BODY_RATE_B), "a picture of a flight")
+    time = np.arange(len(steps)) * log.dt_s
+    there = {column.key for column in log.columns}
+    with mpl.rc_context({"font.size": 9, "font.family": "DejaVu Sans"}):
+        figure = Figure(figsize=(13, 8.5), layout="constrained")
+        grid = figure.add_gridspec(10, 2, width_ratios=(1, 1))
+        _draw_path(figure.add_subplot(grid[:6, 0]), steps, there)
+        left = [figure.add_subplot(grid[6 + 2 * i : 8 + 2 * i, 0]) for i in range(2)]
+        _draw_curves(left[0], time, steps, keys.THROTTLE_COMMAND, "thrust set-point", there)
+        _draw_curves(left[1], time, steps, keys.MOTOR_OUTPUT, "motor outputs", there)
+        right = [figure.add_subplot(grid[2 * i : 2 * i + 2, 1]) for i in range(5)]
+        if keys.VELOCITY_W in there:
+            _draw_velocity(right[0], time, steps)
+        else:
+            _say(right[0], "velocity is not in the log")
+        _draw_attitude(right[1], time, steps)
+        rates = _tensor(steps, keys.BODY_RATE_B).numpy()
+        asked = keys.BODY_RATE_COMMAND_B in there
+        commanded = _tensor(steps, keys.BODY_RATE_COMMAND_B).numpy() if asked else None
+        _draw_rates(right[2:], time, rates, commanded, "measured")
+        for axes in (left[0], *right[:-1]):
+            axes.tick_params(labelbottom=False)
+        left[-1].set_xlabel("time [s]")
+        right[-1].set_xlabel("time [s]")
+        figure.suptitle(
+            f"{log.metadata['log']}, episode {episode}: {facts['outcome']} after "
+            f"{len(steps) * log.dt_s:.2f} s, from {facts['start_step'] * log.dt_s:.2f} s on"
+        )
+        with replacing(path, RecordingError) as unfinished:
+            figure.savefig(unfinished, dpi=130, format=path.suffix.removeprefix(".") or "png")
+
+
 def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
     """Draws an episode: map from above, velocity, attitude, body rates, rewards.
 
@@ -71,11 +119,7 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
         _draw_velocity(right[0], time, steps)
         _draw_attitude(right[1], time, steps)
         rates = _tensor(steps, keys.BODY_RATE_B).numpy()
-        for i, name in enumerate(("roll", "pitch", "yaw")):
-            axes = right[2 + i]
-            axes.plot(time, rates[:, i], color=_COLOURS[i], linewidth=2.0, label="true")
-            axes.plot(time, commanded[:, i], color=TEXT, linewidth=0.8, label="commanded")
-            _dress(axes, f"{name} rate [rad/s]", _end(time))
+        _draw_rates(right[2:], time, rates, commanded, "true")
         for axes in right[:-1]:
             axes.tick_params(labelbottom=False)
         right[-1].set_xlabel("time [s]")
@@ -156,6 +200,63 @@ def _draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -
         axes.legend(handles=[patch], loc="upper left", fontsize="small", framealpha=0.8)
     shapes = [*(Rectangle(*box) for box in boxes), *(Circle(*pillar) for pillar in pillars)]
     axes.add_collection(PatchCollection(shapes, facecolor=OBSTACLE, edgecolor="none", zorder=1.5))
+
+
+def _draw_rates(
+    places: Sequence[Axes],
+    time: Float[np.ndarray, " t"],
+    rates: Float[np.ndarray, "t 3"],
+    commanded: Float[np.ndarray, "t 3"] | None,
+    label: str,
+) -> None:
+    for i, (axes, name) in enumerate(zip(places, ("roll", "pitch", "yaw"), strict=True)):
+        axes.plot(time, rates[:, i], color=_COLOURS[i], linewidth=2.0, label=label)
+        if commanded is not None:
+            axes.plot(time, commanded[:, i], color=TEXT, linewidth=0.8, label="commanded")
+        _dress(axes, f"{name} rate [rad/s]", _end(time))
+
+
+def _draw_path(axes: Axes, steps: TensorDict, there: Collection[keys.NestedKey]) -> None:
+    """The flight from above, from the ring to the diamond."""
+    if keys.POSITION_W not in there:
+        _say(axes, "position is not in the log")
+        return
+    position = _tensor(steps, keys.POSITION_W)[:, :2].numpy()
+    axes.plot(*position.T, color=PLAN, linewidth=1.6)
+    axes.scatter(*position[0], s=44, c="white", edgecolors=PLAN, zorder=5)
+    axes.scatter(*position[-1], s=50, marker="D", c=COLLISION, edgecolors="white", zorder=6)
+    middle = (position.min(0) + position.max(0)) / 2
+    half = max(float(np.ptp(position, 0).max()), _LEAST_M) / 2 + _MARGIN_M
+    (west, south), (east, north) = middle - half, middle + half
+    axes.set(xlim=(west, east), ylim=(south, north), aspect="equal")
+    axes.set(xlabel="east [m]", ylabel="north [m]")
+    axes.grid(color=FRAME, linewidth=0.4, alpha=0.5)
+    _quiet(axes)
+
+
+def _draw_curves(
+    axes: Axes,
+    time: Float[np.ndarray, " t"],
+    steps: TensorDict,
+    key: keys.NestedKey,
+    label: str,
+    there: Collection[keys.NestedKey],
+) -> None:
+    """Every component of a column, if the log tells it."""
+    if key not in there:
+        _say(axes, f"the log tells no {label}")
+        return
+    values = _tensor(steps, key).numpy()
+    for i, column in enumerate(values.T):
+        name = f"motor {i + 1}" if values.shape[1] > 1 else "set-point"
+        axes.plot(time, column, linewidth=1.0, label=name)
+    _dress(axes, label, _end(time))
+
+
+def _say(axes: Axes, sentence: str) -> None:
+    axes.text(0.5, 0.5, sentence, transform=axes.transAxes, ha="center", va="center", color=TEXT)
+    axes.set(xticks=[], yticks=[])
+    _quiet(axes)
 
 
 def _draw_velocity(axes: Axes, time: Float[np.ndarray, " t"], steps: TensorDict) -> None:

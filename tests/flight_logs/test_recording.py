@@ -191,3 +191,22 @@ def test_damaged_bytes_never_end_in_a_traceback(call, tmp_path):
         data[generator.integers(7, 900)] ^= 0xFF
         (tmp_path / "flight.ulg").write_bytes(data)
         assert call("from-ulog", "flight.ulg", "--force")[0] in (0, 1, 3)
+
+
+def test_a_real_flight_is_drawn_tabled_and_has_no_scene(converted, call, tmp_path):
+    converted(flight())
+    assert call("plot", "flight.mcap", "--episode", 0)[0] == 0
+    assert (tmp_path / "episode_0.png").stat().st_size > 20_000
+    assert call("parquet", "flight.mcap")[0] == 0
+    code, _, errors = call("scene", "flight.mcap", "--episode", 0)
+    assert code == 1
+    assert "real flight, which has no scene and no rewards" in errors
+
+
+def test_a_flight_without_position_is_drawn_too(converted, call, tmp_path):
+    topics = flight()
+    for name in ("vehicle_local_position", "actuator_motors", "vehicle_rates_setpoint"):
+        del topics[name, 0]
+    converted(topics)
+    assert call("plot", "flight.mcap", "--episode", 0)[0] == 0
+    assert (tmp_path / "episode_0.png").exists()
