@@ -1,5 +1,6 @@
 """RotorPy's multirotor as dynamics: its aerodynamics, its integrator, its rate loop or ours."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import torch
@@ -49,7 +50,7 @@ class RotorPy(ExternalSimulator):
         motor_time_constant_s: Annotated[float, Within(0.001, 1)],
         greatest_speed_radps: Positive,
         greatest_thrust_n: Positive,
-        parasitic_drag_kgpm: list[NotNegative],
+        parasitic_drag_kgpm: Sequence[NotNegative],
         rotor_drag_kg: NotNegative = 0.0,
         inflow_kg: NotNegative = 0.0,
         translational_lift_kgpm: NotNegative = 0.0,
@@ -59,7 +60,7 @@ class RotorPy(ExternalSimulator):
         super().__init__(substeps=substeps)
         if len(parasitic_drag_kgpm) != 3:
             raise ConfigError(
-                f"parasitic_drag_kgpm is {parasitic_drag_kgpm}; expected 3 numbers: x, y, z."
+                f"parasitic_drag_kgpm is {list(parasitic_drag_kgpm)}; expected 3 numbers: x, y, z."
             )
         self.module = _rotorpy()
         self.loop = loop
