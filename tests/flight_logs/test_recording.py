@@ -1,5 +1,7 @@
 """PX4's logs as recordings: frames, time base, episodes, other firmware, damage, other vehicles."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from resc.recording import RolloutLog
 from resc.recording.check import check
 
 pytest.importorskip("pyulog")
+DATA = Path(__file__).parents[1] / "data"
 
 
 @pytest.fixture
@@ -121,6 +124,20 @@ def test_set_points_that_are_not_numbers_hold_what_is_measured(converted):
     )
     log, _ = converted(topics)
     assert log.episode(0)[keys.BODY_RATE_COMMAND_B][5, 2] == -0.5
+
+
+def test_a_log_of_the_firmware_itself_is_read(call, tmp_path):
+    code, out, _ = call("from-ulog", DATA / "px4_sitl_iris.ulg")
+    assert code == 0
+    assert "position         vehicle_local_position_groundtruth" in out
+    assert "never armed" in out
+    log = RolloutLog(tmp_path / "px4_sitl_iris.mcap")
+    steps = log.episode(0)
+    torch.testing.assert_close(
+        steps[keys.SPECIFIC_FORCE_B].mean(0)[2].item(), 9.8, atol=0.1, rtol=0
+    )
+    assert steps[keys.POSITION_W].abs().max() < 1.0
+    assert check(log.files[0]).faults == []
 
 
 def refused(call, tmp_path, content, *words):
