@@ -179,6 +179,7 @@ class Evaluation:
         """
         if self.config["scene_files"] < 0:
             raise ConfigError(f"scene_files is {self.config['scene_files']}; expected 0 or more.")
+        _require_one_choice(self.overrides)
         for pilot in self.pilots:
             pilot.check(self._rules[False].stages)
 
@@ -205,6 +206,16 @@ class Evaluation:
         (pilot,) = self.pilots
         named = self.config["policy"] if isinstance(pilot, PolicyPilot) else pilot.name
         return [fly_contest(contest, pilot, folder, named)]
+
+
+def _require_one_choice(overrides: Sequence[str]) -> None:
+    """A simulator chooses the dynamics; a second choice beside it would win without a word."""
+    given = {text.lstrip("+").partition("=")[0]: text for text in overrides}
+    if {"simulator", "dynamics"} <= given.keys() and given["simulator"] != "simulator=own":
+        raise ConfigError(
+            f"{given['simulator']} chooses the dynamics, and so does {given['dynamics']}; leave out "
+            "one of them."
+        )
 
 
 def _summary(results: Sequence[Result]) -> dict[str, Any]:

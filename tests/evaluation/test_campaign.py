@@ -263,3 +263,11 @@ def test_pilot_that_cannot_fly_is_refused_before_anything_is_planned(evaluation,
     with pytest.raises(ConfigError, match="needs eyes"):
         Evaluation(evaluation(), policy, scenes, given_pilots=[Blind()]).fly(tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_two_choices_of_the_dynamics_are_refused(evaluation, policy):
+    both = ["simulator=mujoco", "dynamics=lag_and_drag"]
+    with pytest.raises(ConfigError, match="simulator=mujoco chooses the dynamics, and so does dyn"):
+        Evaluation(evaluation(*both), policy, {}, both).check()
+    alone = ["simulator=own", "dynamics=lag_and_drag"]
+    Evaluation(evaluation(*alone), policy, {}, alone).check()
