@@ -213,8 +213,8 @@ def _require_one_choice(overrides: Sequence[str]) -> None:
     given = {text.lstrip("+").partition("=")[0]: text for text in overrides}
     if {"simulator", "dynamics"} <= given.keys() and given["simulator"] != "simulator=own":
         raise ConfigError(
-            f"{given['simulator']} chooses the dynamics, and so does {given['dynamics']}; leave out "
-            "one of them."
+            f"{given['simulator']} chooses the dynamics, and so does {given['dynamics']}; leave "
+            "one of them out."
         )
 
 
