@@ -1,12 +1,15 @@
 """What the environment can be called with; anything else is told in a sentence."""
 
 import traceback
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
+from resc import keys
 from resc.errors import CallError, NumericalError, TermError
-from resc.term import Term
+from resc.keys import NestedKey
+from resc.term import Estimator, Term
 
 
 def require_action(action: object, shape: tuple[int, int], device: torch.device) -> None:
@@ -64,6 +67,26 @@ def bad_action(action: Tensor, observation: Tensor, clock: Tensor, columns: list
         "finite; if a policy gave it, its weights are not: train it again with a lower "
         "algorithm.learning_rate, or resume from an earlier checkpoint."
     )
+
+
+def require_measured(devices: Sequence[Term], world: Mapping[NestedKey, Tensor]) -> None:
+    """Raises NumericalError for a reading or an estimate that is not finite, the readings first."""
+    values = [(term, key, world[key]) for term in devices for key in term.outputs]
+    if torch.stack([value.sum(dtype=torch.float32) for *_, value in values]).isfinite().all():
+        return
+    for term, key, value in values:
+        rows = value.flatten(1).isfinite().all(-1)
+        if rows.all():
+            continue
+        row = int((~rows).nonzero()[0, 0])
+        wrong = value[row][~value[row].isfinite()][0].item()
+        reads = ", ".join(sorted({".".join(read) for read in term.reads if read[0] == "sensor"}))
+        cause = f" although {reads} are finite" if isinstance(term, Estimator) and reads else ""
+        raise NumericalError(
+            f"{'.'.join(key)} is {wrong} in environment {row} at step "
+            f"{int(world[keys.CLOCK][row, 0])} of its episode{cause}; look at the numbers of "
+            f"{term.path} and at its compute."
+        )
 
 
 def blamed(error: Exception, when: str) -> Exception:

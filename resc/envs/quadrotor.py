@@ -9,7 +9,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, TransformedEnv
 
 from resc import keys
-from resc.envs.calls import bad_action, blamed, require_action, require_rows
+from resc.envs.calls import bad_action, blamed, require_action, require_measured, require_rows
 from resc.envs.stages import Stages, StepOutput, World
 from resc.envs.trial import check_terms
 from resc.errors import CallError, ConfigError
@@ -135,7 +135,7 @@ class QuadrotorEnv(EnvBase):
         Raises:
             CallError: Nothing was reset yet, or the action is of another shape, type or device.
             TermError: A term cannot be computed.
-            NumericalError: The action holds a number that is not finite.
+            NumericalError: The action, a reading or an estimate holds a number that is not finite.
         """
         self._require_reset()
         require_action(action, (self.num_envs, self.stages.terms.action.width), self.device)
@@ -147,6 +147,8 @@ class QuadrotorEnv(EnvBase):
             self._world, out = self._step_function(self._world, self.pool.shared, action, drawn)
         except Exception as error:  # what a term of one's own raises is told with its name
             raise blamed(error, f"step {self.steps_taken + 1}") from error
+        if self.stages.devices:
+            require_measured(self.stages.devices, self._world)
         self.observation, self.observation_critic = out.observation, out.observation_critic
         self.steps_taken += 1
         return out

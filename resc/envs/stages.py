@@ -307,10 +307,16 @@ class Stages(nn.Module):
         return torch.cat(blocks, -1)
 
     def _believed(self, tensors: World, drawn: Mapping[str, Tensor]) -> World:
-        """The tensors with the estimate in the place of the state, and what sensors make of it."""
+        """The tensors with the estimate in the place of the state, and what sensors make of it.
+
+        Numbers that are not finite, which the environment refuses after the step, are 0: they would
+        be looked up anywhere in the map.
+        """
         if self.terms.estimator is None:
             return tensors
-        believed = {**tensors, **{true: tensors[key] for true, key in keys.ESTIMATES.items()}}
+        believed = dict(tensors)
+        for true, key in keys.ESTIMATES.items():
+            believed[true] = torch.nan_to_num(tensors[key], nan=0.0, posinf=0.0, neginf=0.0)
         for term in self.functions_seen:
             _run(term, believed, drawn)
         return believed

@@ -38,6 +38,16 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         add_output(parser, f"episode_K.{suffix} in this folder")
         if name != "plot":
             add_allow(parser)
+    smooth = add_command(
+        commands,
+        "smooth",
+        run_smooth,
+        "track of one episode, smoothed from its motion capture: a table beside the recording",
+        "resc-log smooth runs/latest_evaluation --episode 3",
+    )
+    add_recording(smooth)
+    add_episode(smooth)
+    add_output(smooth, "FILE_episode_K_smoothed.csv beside the recording")
     parquet = add_command(
         commands,
         "parquet",
@@ -70,6 +80,24 @@ def run_plot(given: argparse.Namespace) -> int:
 
     require_picture(given.out)
     return _write_episode(given, "png", draw)
+
+
+def run_smooth(given: argparse.Namespace) -> int:
+    """Smooths an episode, and draws what comes of it; the recording stays as it is."""
+    with needing("estimation"):
+        from resc.recording.smoothed import smooth
+    from resc.viewing.smoothed_picture import draw_smoothed
+
+    log = RolloutLog(given.recording)
+    require_index(given.episode, len(log.episodes), "episode", "episodes")
+    steps, track = log.episode(given.episode), smooth(log, given.episode)
+    file = Path(log.episodes.row(given.episode, named=True)["file"])
+    path = output(given, file.with_name(f"{file.stem}_episode_{given.episode}_smoothed.csv"))
+    track.write(path)
+    picture = path.with_suffix(".png")
+    draw_smoothed(steps, track, log.dt_s, picture)
+    print(f"{path}: {len(track.time_s)} steps\n{picture}")
+    return 0
 
 
 def run_parquet(given: argparse.Namespace) -> int:

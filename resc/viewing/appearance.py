@@ -21,6 +21,8 @@ SURFACE_M = 0.1
 OBSTACLE, ROTOR, FRONT, NEXT, PASSED, GROUND = (
     "#4a5768", "#20262e", "#d7263d", "#f2a900", "#9aa5b1", "#f4f6f9",
 )  # fmt: skip
+MEASURED, ESTIMATED = "#8a94a3", "#1f6fb2"
+"""What motion capture read, and what an estimator made of it."""
 INFLATED_M, FAR_M = 0.3, 1.5
 """The map is tinted up to the first distance, and as light as it gets from the second on."""
 
@@ -52,7 +54,7 @@ def scene_numbers(scene: EpisodeScene) -> dict[str, Numbers]:
     velocity = scene.column(keys.VELOCITY_W)
     rates, thrust = scene.command
     reward = scene.column(keys.REWARD)[:, 0]
-    return {
+    numbers: dict[str, Numbers] = {
         "/state": {
             "position": _named(scene.column(keys.POSITION_W), "xyz"),
             "velocity": _named(velocity, "xyz"),
@@ -71,6 +73,27 @@ def scene_numbers(scene: EpisodeScene) -> dict[str, Numbers]:
             "terms": _named(scene.column(REWARD_TERMS), scene.reward_names),
         },
     }
+    return numbers | _measured(scene)
+
+
+def _measured(scene: EpisodeScene) -> dict[str, Numbers]:
+    """Curves of what was read and of what was estimated, where there is any."""
+    found: dict[str, Numbers] = {}
+    seen, guess = scene.path(keys.MOCAP_POSITION_W), scene.path(keys.ESTIMATED_POSITION_W)
+    if seen is not None:
+        found["/mocap"] = {"position": _named(seen, "xyz")}
+    if guess is not None:
+        euler = euler_from_quaternion(scene.column(keys.ESTIMATED_ATTITUDE_WB))
+        velocity = scene.column(keys.ESTIMATED_VELOCITY_W)
+        found["/estimate"] = {
+            "position": _named(guess, "xyz"),
+            "velocity": _named(velocity, "xyz"),
+            "euler": _named(euler, ("roll", "pitch", "yaw")),
+            "body_rate": _named(scene.column(keys.ESTIMATED_BODY_RATE_B), "xyz"),
+            "position_error": (guess - scene.column(keys.POSITION_W)).norm(dim=-1).numpy(),
+            "velocity_error": (velocity - scene.column(keys.VELOCITY_W)).norm(dim=-1).numpy(),
+        }
+    return found
 
 
 def _named(values: Tensor, names: Iterable[str]) -> dict[str, Float[np.ndarray, " t"]]:

@@ -87,6 +87,10 @@ class EpisodeScene:
         """A recorded column."""
         return cast(Tensor, self.steps[key])
 
+    def path(self, key: keys.NestedKey) -> Float[Tensor, "t 3"] | None:
+        """Positions read or estimated before each step; None where none are recorded."""
+        return cast("Tensor | None", self.steps.get(key, None))
+
     @property
     def success(self) -> bool:
         """Whether the episode reached its goal."""

@@ -28,6 +28,7 @@ from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
 from resc.viewing import layouts
 from resc.viewing.appearance import (
+    MEASURED,
     OBSTACLE,
     ROTOR,
     TRAIL_STEPS,
@@ -78,6 +79,11 @@ SDK_TYPES = {
     "/log": Log,
 }
 """Message type of each topic; `/observation/*` and the numbers follow."""
+ESTIMATES = {
+    "/drone/measured": (keys.MOCAP_POSITION_W, PointCloud),
+    "/drone/estimate": (keys.ESTIMATED_POSITION_W, PosesInFrame),
+}
+"""Topics of recordings that hold such a column, and their message type."""
 
 
 class _Encodes(Protocol):
@@ -138,6 +144,9 @@ def _write(scene: EpisodeScene, file: IO[bytes]) -> None:
 def _channels(writer: Writer, scene: EpisodeScene, numbers: dict[str, Numbers]) -> dict[str, int]:
     """Channel number of each topic."""
     types: dict[str, Any] = {**SDK_TYPES, **_observation_types(scene)}
+    types |= {
+        topic: kind for topic, (key, kind) in ESTIMATES.items() if scene.path(key) is not None
+    }
     schemas: dict[str, tuple[str, bytes]] = {}
     for topic, kind in types.items():
         schema = kind.get_schema()
@@ -166,7 +175,7 @@ def _observation_types(scene: EpisodeScene) -> dict[str, Any]:
 
 
 def _messages(scene: EpisodeScene, numbers: dict[str, Numbers]) -> Iterator[Message]:
-    for topic, message in _static(scene):
+    for topic, message in (*_static(scene), *_estimated(scene)):
         yield Message(0, topic, message.encode())
     times = [round(step * scene.dt_s * 1e9) for step in range(len(scene) + 1)]
     for topic, values in numbers.items():
@@ -223,6 +232,18 @@ def _static(scene: EpisodeScene) -> Iterator[tuple[str, _Encodes]]:
         "/plan/path",
         PosesInFrame(timestamp=stamp(0), frame_id=WORLD, poses=[pose(point) for point in plan]),
     )
+
+
+def _estimated(scene: EpisodeScene) -> Iterator[tuple[str, _Encodes]]:
+    """The frames of motion capture and the estimated path, whole from the beginning."""
+    frames, guess = scene.path(keys.MOCAP_POSITION_W), scene.path(keys.ESTIMATED_POSITION_W)
+    if frames is not None:
+        tint = np.array(rgba(MEASURED), np.uint8)
+        yield "/drone/measured", point_cloud(frames.numpy(), tint, time_ns=0, frame=WORLD)
+    if guess is not None:
+        poses = [pose(point) for point in guess.tolist()]
+        path = PosesInFrame(timestamp=stamp(0), frame_id=WORLD, poses=poses)
+        yield "/drone/estimate", path
 
 
 def _moving(scene: EpisodeScene, times: list[int]) -> Iterator[tuple[int, str, _Encodes]]:

@@ -15,7 +15,9 @@ from resc.run_folder import replacing
 from resc.sights import Shape
 from resc.viewing import layouts
 from resc.viewing.appearance import (
+    ESTIMATED,
     FRONT,
+    MEASURED,
     NEXT,
     OBSTACLE,
     TRAIL_STEPS,
@@ -79,6 +81,7 @@ def _send(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     times = _seconds(scene, range(len(scene)))
     _send_vehicle(stream, scene, times)
     _send_route(stream, scene)
+    _send_estimate(stream, scene)
     for name, seen in scene.sights.items():
         _send_sight(stream, f"/observation/{name}", seen, scene, times)
     for path, values in _curves(scene_numbers(scene)):
@@ -122,6 +125,17 @@ def _send_place(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     plan = np.concatenate((place.start.numpy()[None], place.route.numpy()))
     path = rr.LineStrips3D([plan], colors=[rgba(NEXT)], radii=[LINE_M])
     stream.log("/plan/path", path, static=True)
+
+
+def _send_estimate(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
+    """The frames of motion capture and the estimated path, whole from the beginning."""
+    frames, guess = scene.path(keys.MOCAP_POSITION_W), scene.path(keys.ESTIMATED_POSITION_W)
+    if frames is not None:
+        points = rr.Points3D(frames.numpy(), colors=[rgba(MEASURED)], radii=[LINE_M])
+        stream.log("/drone/measured", points, static=True)
+    if guess is not None:
+        path = rr.LineStrips3D([guess.numpy()], colors=[rgba(ESTIMATED)], radii=[LINE_M])
+        stream.log("/drone/estimate", path, static=True)
 
 
 def _ground(scene: EpisodeScene) -> rr.Mesh3D:

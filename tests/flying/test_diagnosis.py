@@ -14,6 +14,10 @@ from resc.learning.trainer import Trainer
 from resc.learning.training_run import TrainingRun
 from resc.setup import build_stages, set_up
 from resc.term import Observation, Reward, Termination
+from resc.terms.estimators.fd_lpf import FiniteDifference
+from resc.terms.estimators.noise import Noise
+from resc.terms.sensors.imu import Imu
+from resc.terms.sensors.mocap import Mocap
 
 STEPS = 8
 
@@ -63,7 +67,9 @@ def trainer(compose):
         stages = build_stages(config)
         terms = {name: getattr(stages.terms, name) for name in Terms.__dataclass_fields__}
         for group, term in more.items():
-            terms[group] = [*terms[group], term.named("mine")]
+            several = term if isinstance(term, list) else [term.named("mine")]
+            single = group == "estimator"
+            terms[group] = term.named(group) if single else [*terms[group], *several]
         env = QuadrotorEnv(Stages(Terms(**terms), stages.context), pool, num_envs=2, compiled=False)
         own = {"algorithm": {**config["algorithm"], "steps": STEPS}, "num_envs": 2}
         run = TrainingRun(OmegaConf.create({**config, **own, "compile": False}))
@@ -100,6 +106,47 @@ def test_an_observation_that_turns_infinite_is_named_with_its_column(trainer):
         trainer(observations=Rotten()).iterate()
     assert str(caught.value).startswith(
         "observation.mine.bad is inf in environment 0 after 5 steps of its episode and 5 of the run"
+    )
+
+
+class Blind(Mocap):
+    """Delivers no number in the fourth step of an episode."""
+
+    def compute(self, clock, *given):
+        position, *rest = super().compute(clock, *given)
+        return torch.where(clock == 4, torch.nan, position), *rest
+
+
+class Lost(Noise):
+    """Loses the velocity in the fourth step of an episode."""
+
+    reads = (*Noise.reads, keys.CLOCK)
+
+    def compute(self, *given):
+        *state, clock, unit = given
+        position, velocity, *rest = super().compute(*state, unit)
+        return position, torch.where(clock == 4, torch.nan, velocity), *rest
+
+
+def test_a_sensor_that_turns_nan_is_named(trainer):
+    with pytest.raises(NumericalError) as caught:
+        trainer(
+            sensors=[Blind(rate_hz=50.0).named("mocap"), Imu().named("imu")],
+            estimator=FiniteDifference(cutoff_hz=10.0),
+        ).iterate()
+    assert str(caught.value).startswith(
+        "sensor.mocap_position_w is nan in environment 0 at step 4 of its episode; look at the "
+        "numbers of sensor.mocap"
+    )
+
+
+def test_an_estimator_that_turns_nan_is_named_and_its_sensors_are_cleared(trainer):
+    term = Lost(position_m=0.0, velocity_mps=0.0, attitude_rad=0.0, body_rate_radps=0.0)
+    with pytest.raises(NumericalError) as caught:
+        trainer(estimator=term).iterate()
+    assert str(caught.value).startswith(
+        "estimate.velocity_w is nan in environment 0 at step 4 of its episode; look at the numbers "
+        "of estimator"
     )
 
 

@@ -148,7 +148,7 @@ class Mocap(Device):
             torch.where(fresh, seen, last_position),
             torch.where(fresh, normalize(product(turned, turn)), last_attitude),
             fresh,
-            torch.where(clock.unsqueeze(-1) > 0, flown[:, :-1], past),
+            flown[:, :-1],
             hidden,
         )
 
