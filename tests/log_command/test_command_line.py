@@ -43,9 +43,7 @@ def commands():
 
 
 def test_all_commands_are_there():
-    expected = (
-        "check episodes from-ulog identify info merge parquet plot recover rerun scene schema"
-    )
+    expected = "check episodes from-ulog identify info merge parquet plot recover rerun scene schema smooth"
     assert commands() == expected.split()
 
 
