@@ -79,6 +79,31 @@ SPECIFIC_FORCE_B = _declare(
     ("sensor", "specific_force_b"), (3,), "m/s^2", "acceleration without gravity, by accelerometer"
 )
 
+GYRO_DELAYS = _declare(
+    ("loop", "gyro_delays"), (2, 3), "rad/s", "memory of the filter of the gyro, newest first, FRD"
+)
+FILTERED_RATE = _declare(
+    ("loop", "filtered_rate"), (3,), "rad/s", "body rate that the rate loop sees, FRD"
+)
+FILTERED_ACCELERATION = _declare(
+    ("loop", "filtered_acceleration"), (3,), "rad/s^2", "its slope as the rate loop sees it, FRD"
+)
+RATE_INTEGRAL = _declare(
+    ("loop", "rate_integral"), (3,), "-", "the rate loop's integrators, normalised torque, FRD"
+)
+YAW_TORQUE = _declare(
+    ("loop", "yaw_torque"), (1,), "-", "filtered yaw torque, normalised, positive to the right"
+)
+UNALLOCATED = _declare(
+    ("loop", "unallocated_torque"),
+    (3,),
+    "-",
+    "what the allocator last reported that it could not give, normalised torque, FRD",
+)
+STATUS_AGE = _declare(
+    ("loop", "status_age"), (1,), "runs", "runs of the rate loop since the allocator's report"
+)
+
 MASS = _declare(("params", "mass"), (1,), "kg", "mass")
 INERTIA_B = _declare(("params", "inertia_b"), (3,), "kg m^2", "diagonal of the inertia matrix")
 TORQUE_COEFFICIENT = _declare(

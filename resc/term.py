@@ -36,6 +36,7 @@ class Context:
         clearance_m: Least and greatest distance that the routes of the scenes keep; None where they
             do not say.
         latency_s: Greatest age of a device's reading when it arrives.
+        runs: Times per control step that a term is called, `dt_s` being the time between two calls.
     """
 
     dt_s: Annotated[float, Within(1e-4, 0.5)]
@@ -46,6 +47,7 @@ class Context:
     longest_delay_steps: int | None = None
     clearance_m: Sequence[float] | None = None
     latency_s: float = 0.0
+    runs: int = 1
 
     def __post_init__(self) -> None:
         for name in ("dt_s", "resolution_m"):
@@ -74,6 +76,9 @@ class Term(TensorDictModuleBase):
 
     A term that calls other code than torch says so, `compiles = False`, and flies uncompiled.
 
+    A rate loop may run several times in a control step, as many `runs` as it says once it is bound;
+    each is followed by dynamics of a part of the step.
+
     A term that `eases` can be made easier: with `difficulty: name` in its configuration, the
     difficulty of that name, [n, 1] in [0, 1], follows all other arguments of `compute`.
     """
@@ -90,6 +95,7 @@ class Term(TensorDictModuleBase):
     name: str = ""
     eases: ClassVar[bool] = False
     compiles: ClassVar[bool] = True
+    runs: int = 1
     difficulty: str | None = None
 
     def bind(self, context: Context) -> None:

@@ -1,7 +1,7 @@
 """The control step and the reset as pure functions of tensors, assembled from terms."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import torch
@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import DECLARED, NestedKey, previous
+from resc.math.repeat import repeated
 from resc.math.rotation import heading
 from resc.term import (
     Action,
@@ -117,8 +118,7 @@ class Stages(nn.Module):
             list(terms)
         )  # so that .to(device) reaches their buffers
         self.context = context
-        for term in terms:
-            _bind(term, context)
+        self._bind_terms(terms)
         for term in terms.observed:
             term.history = term.history or context.history
         for name, value in context.vehicle.parameters().items():
@@ -172,14 +172,9 @@ class Stages(nn.Module):
         tensors = {**world, **shared, keys.ACTION: action, keys.CLOCK: world[keys.CLOCK] + 1}
         for key in self.memory:
             tensors[key] = world[key[1:]]
-        for term in (
-            terms.action,
-            terms.rate_loop,
-            terms.dynamics,
-            terms.task,
-            *terms.measuring,
-            *terms.terminations,
-        ):
+        _run(terms.action, tensors, drawn)
+        self._move(tensors, drawn)
+        for term in (terms.task, *terms.measuring, *terms.terminations):
             _run(term, tensors, drawn)
         self._finish(tensors)
         for term in (*terms.rewards, *terms.metrics):
@@ -268,6 +263,36 @@ class Stages(nn.Module):
         eased = [keys.difficulty(name) for name in self.difficulties]
         every = [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *drawn, *kept, *eased]
         return list(dict.fromkeys(every))
+
+    def _bind_terms(self, terms: Terms) -> None:
+        """Gives every term its surroundings; the dynamics get the part of a step between runs."""
+        for term in terms:
+            if term is not terms.dynamics:
+                _bind(term, self.context)
+        runs = terms.rate_loop.runs
+        part = replace(self.context, dt_s=self.context.dt_s / runs, runs=runs)
+        _bind(terms.dynamics, part)
+
+    def _move(self, tensors: World, drawn: Mapping[str, Tensor]) -> None:
+        """Rate loop and dynamics, as often as the rate loop runs in a control step."""
+        loop, dynamics = self.terms.rate_loop, self.terms.dynamics
+        if loop.runs == 1:
+            _run(loop, tensors, drawn)
+            _run(dynamics, tensors, drawn)
+            return
+        moved = tuple(dict.fromkeys((*loop.outputs, *dynamics.outputs)))
+
+        def run(values: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+            now = tensors | dict(zip(moved, values, strict=True))
+            _run(loop, now, drawn)
+            _run(dynamics, now, drawn)
+            return tuple(now[key].clone(memory_format=torch.contiguous_format) for key in moved)
+
+        before = tensors[keys.VELOCITY_W]
+        start = (tensors.get(key, _none_yet(key, before)) for key in moved)
+        tensors |= zip(moved, repeated(run, tuple(start), loop.runs), strict=True)
+        gained = tensors[keys.VELOCITY_W] - before
+        tensors[keys.ACCELERATION_W] = gained / self.context.dt_s  # of the step, not of its parts
 
     def _finish(self, tensors: World) -> None:
         """Combines the terminations into terminated, truncated, done and the outcome's number."""
@@ -399,6 +424,11 @@ def _require(term: Term, known: set[NestedKey], fact: str) -> None:
 def _run(term: Term, tensors: World, drawn: Mapping[str, Tensor]) -> None:
     """Runs a term with the blocks that it takes at every step."""
     term.run(tensors, *(drawn[name] for name in term.blocks))
+
+
+def _none_yet(key: NestedKey, like: Tensor) -> Tensor:
+    """Zeros of the declared shape for every environment."""
+    return like.new_zeros([len(like), *map(int, DECLARED[key].shape)])
 
 
 def _buffer_name(key: NestedKey) -> str:

@@ -137,3 +137,22 @@ def derivative(
         ),
         -1,
     )
+
+
+def turned(attitude: Float[Tensor, "n 4"], angle_b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
+    """The attitude after a small turn: q exp(angle / 2), the angle [rad] times its body axis.
+
+    A series that errs by 1e-8 at 0.1 rad and has a derivative at zero; of unit length.
+    """
+    square = angle_b.square().sum(-1, keepdim=True) / 4
+    cosine = 1 - square / 2 * (1 - square / 12)
+    x, y, z = (angle_b * (0.5 - square / 12)).unbind(-1)
+    w = cosine[..., 0]
+    a, b, c, d = attitude.unbind(-1)
+    product = (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+    return normalize(torch.stack(product, -1))

@@ -12,6 +12,7 @@ from torch import Tensor
 from resc import keys
 from resc.keys import NestedKey
 from resc.quantities import Within
+from resc.simulation.rigid_body import steps_per_run
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import Context, Term
 
@@ -83,7 +84,8 @@ class ExternalSimulator(Term):
     step: `compile=false`.
 
     Args:
-        substeps: Steps of the simulator per control step.
+        substeps: Steps of the simulator per control step; at least one for every run of the rate
+            loop.
     """
 
     reads = (
@@ -111,12 +113,14 @@ class ExternalSimulator(Term):
     def __init__(self, *, substeps: Annotated[int, Within(1, 1000)]) -> None:
         super().__init__()
         self.substeps = substeps
+        self.steps = substeps
         self.body: Body | None = None
         self.dt_s = 0.0
 
     def bind(self, context: Context) -> None:
-        """Takes the control period."""
+        """Takes the time that a call is for, and how many steps it takes."""
         self.dt_s = context.dt_s
+        self.steps = steps_per_run(self.substeps, context.runs)
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, and nothing has accelerated yet."""

@@ -128,7 +128,7 @@ class MuJoCo(ExternalSimulator):
             for number, place in enumerate(places)
         ]
         return MODEL.format(
-            step_s=self.dt_s / self.substeps,
+            step_s=self.dt_s / self.steps,
             mass=float(body.mass[row]),
             inertia=_text(body.inertia_b[row]),
             rotors="\n      ".join(rotors),
@@ -142,7 +142,7 @@ class MuJoCo(ExternalSimulator):
         parts = (motion.position_w, motion.attitude_wb, motion.velocity_w, motion.body_rate_b)
         clock = torch.zeros_like(motion.position_w[:, :1])
         state = torch.cat((clock, *parts, motion.rotor_thrust), -1).numpy()
-        control = command.rotor_thrust.numpy()[:, None].repeat(self.substeps, 1)
+        control = command.rotor_thrust.numpy()[:, None].repeat(self.steps, 1)
         after = np.empty_like(state)
         for model, data, rows in self.models:
             states, _ = self.rollout.rollout(model, [data], state[rows], control[rows])

@@ -28,7 +28,7 @@ class RigidBody(Term):
     since T may be shorter than a substep.
 
     Args:
-        substeps: RK4 steps per control step.
+        substeps: RK4 steps per control step; at least one for every run of the rate loop.
         rotor_time_constant_s: T; zero makes the rotors instantaneous.
         drag_1ps: k, linear drag per mass.
     """
@@ -72,11 +72,13 @@ class RigidBody(Term):
         self.substeps = substeps
         self.rotor_time_constant_s = rotor_time_constant_s
         self.drag_1ps = drag_1ps
+        self.steps = substeps
         self.dt_s = 0.0
 
     def bind(self, context: Context) -> None:
-        """Takes the control period."""
+        """Takes the time that a call is for, and how many steps it takes."""
         self.dt_s = context.dt_s
+        self.steps = steps_per_run(self.substeps, context.runs)
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, and nothing has accelerated yet."""
@@ -100,10 +102,10 @@ class RigidBody(Term):
         arm: Float[Tensor, "n 3"],
         thrust_scale: Float[Tensor, "n 1"],
     ) -> tuple[Tensor, ...]:
-        step_s = self.dt_s / self.substeps
+        step_s = self.dt_s / self.steps
         target = command * thrust_scale
         start = velocity
-        for _ in range(self.substeps):
+        for _ in range(self.steps):
             mean_thrust, thrust = self._rotors(thrust, target, step_s)
             acceleration_b = mean_thrust.sum(-1, keepdim=True) / mass
             torque = body_torque(mean_thrust, arm, torque_coefficient)
@@ -135,6 +137,20 @@ class RigidBody(Term):
         rest = -math.expm1(-step_s / constant)  # expm1: 1 - exp(-x) loses digits for short substeps
         mean = target + (thrust - target) * (rest * constant / step_s)
         return mean, thrust + (target - thrust) * rest
+
+
+def steps_per_run(substeps: int, runs: int) -> int:
+    """Steps of the dynamics after each of so many runs of the rate loop in a control step.
+
+    Raises:
+        ConfigError: There are more steps than runs, but no whole number for each.
+    """
+    if substeps > runs and substeps % runs:
+        raise ConfigError(
+            f"substeps is {substeps}, but the rate loop runs {runs} times in a control step; set "
+            f"dynamics.substeps={runs} or a multiple of it."
+        )
+    return max(1, substeps // runs)
 
 
 def body_torque(

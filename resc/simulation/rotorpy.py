@@ -112,8 +112,8 @@ class RotorPy(ExternalSimulator):
             "cmd_w": command.body_rate_b,
             "cmd_motor_thrusts": command.rotor_thrust,
         }
-        for _ in range(self.substeps):
-            state = self.multirotor.step(state, control, self.dt_s / self.substeps, self.rows)
+        for _ in range(self.steps):
+            state = self.multirotor.step(state, control, self.dt_s / self.steps, self.rows)
         return Motion(
             state["x"],
             state["v"],

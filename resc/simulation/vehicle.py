@@ -1,6 +1,7 @@
 """Nominal parameters of a quadrotor, read from `conf/vehicle/`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -26,6 +27,7 @@ class Vehicle:
         arm_y_m: Rotors' sideways offset: front pair, rear pair.
         torque_coefficient_m: Yaw torque per thrust.
         thrust_polynomial_n: c0, c1, c2.
+        controllers: What flight controllers are told of it, by their names: `px4`.
     """
 
     def __init__(
@@ -37,6 +39,7 @@ class Vehicle:
         arm_y_m: Sequence[Positive],
         torque_coefficient_m: Positive,
         thrust_polynomial_n: Sequence[Number],
+        controllers: Mapping[str, Any] | None = None,
     ) -> None:
         lists = {
             "inertia_kgm2": (inertia_kgm2, 3),
@@ -61,6 +64,7 @@ class Vehicle:
         self.arm_m = (float(arm_x_m), *map(float, arm_y_m))
         self.torque_coefficient_m = float(torque_coefficient_m)
         self.thrust_polynomial_n = tuple(map(float, thrust_polynomial_n))
+        self.controllers = dict(controllers or {})
 
     def parameters(self) -> dict[NestedKey, Tensor]:
         """Nominal `params` of one vehicle, each [1, width]."""
