@@ -100,7 +100,7 @@ def every_list():
 def flight(make_env):
     """All tensors there are in the middle of a step, of six environments in flight.
 
-    What an estimator remembers is as in its first step.
+    What an estimator or another rate loop remembers is as in its first step.
     """
     env = make_env(f"num_envs={COUNT}", *every_list())
     generator = torch.Generator().manual_seed(0)
@@ -141,7 +141,7 @@ def run(term, flight, rows=None):
     shared = {key for key, declared in DECLARED.items() if declared.shared}
     chosen = torch.arange(COUNT) if rows is None else rows
     inputs = {key: value if key in shared else value[chosen] for key, value in flight.items()}
-    if isinstance(term, kinds.Estimator):
+    if isinstance(term, kinds.Estimator) or set(term.reads).difference(inputs):
         inputs = {**term.begin(inputs), **inputs}
     inputs |= {
         key: torch.full((len(chosen), 1), term.start)

@@ -67,7 +67,7 @@ class Px4RateLoop(Term):
     def __init__(
         self,
         *,
-        rate_hz: Annotated[int, Within(50, 2000)] = 400,
+        rate_hz: Annotated[float, Within(50, 2000)] = 400.0,
         acceleration_cutoff_hz: Positive = 20.0,
         yaw_torque_cutoff_hz: Positive | None = 2.0,
     ) -> None:
@@ -195,7 +195,7 @@ def runs_per_step(rate_hz: float, dt_s: float) -> int:
     runs = rate_hz * dt_s
     if round(runs) < 1 or abs(runs - round(runs)) > 1e-6 * runs:
         raise ConfigError(
-            f"rate_hz is {rate_hz}, {runs:g} runs in a control step of {dt_s:g} s; choose a rate "
+            f"rate_hz is {rate_hz:g}, {runs:g} runs in a control step of {dt_s:g} s; choose a rate "
             f"that is a multiple of {1 / dt_s:g}, or another env.dt_s."
         )
     return round(runs)

@@ -45,9 +45,10 @@ EVERYTHING = (
     "env.history=2",
     "observation.velocity.noise=0.1",
 )
+PX4 = ("rate_loop=px4", "vehicle=iris_px4", "dynamics=gazebo")
 
 
-@pytest.fixture(scope="module", params=[(), EVERYTHING], ids=["default", "everything"])
+@pytest.fixture(scope="module", params=[(), EVERYTHING, PX4], ids=["default", "everything", "px4"])
 def recording(request, compose, tmp_path_factory):
     """The folder of a short training run's recording."""
     folder = tmp_path_factory.mktemp("run")
