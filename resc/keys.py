@@ -117,6 +117,14 @@ ACTION_DELAY = _declare(
     ("params", "action_delay"), (1,), "steps", "age of the action that is applied"
 )
 
+WIND_W = _declare(("air", "wind_w"), (3,), "m/s", "mean wind of the episode, where it is drawn")
+GUST_W = _declare(
+    ("air", "gust_w"),
+    (4, 2, 3),
+    "m/s",
+    "gusts of the episode: cosine and sine parts of each of four frequencies",
+)
+
 SPEED_LIMIT = _declare(
     ("limits", "speed"), (1,), "m/s", "greatest speed asked of the episode, where one is drawn"
 )

@@ -364,6 +364,16 @@ class Stages(nn.Module):
                     f"{'.'.join(key)} is at the beginning of an episode; add it to its begin()."
                 )
 
+    def _require_use(self) -> None:
+        """What is drawn for an episode must change something."""
+        read = {key for term in self.terms for key in term.reads}
+        for term in self.terms.randomizations:
+            if not read & set(term.outputs):
+                raise ConfigError(
+                    f"{term.path} draws {'.'.join(term.outputs[0])}, which nothing reads, so it "
+                    "would change nothing; add what reads it, or leave it out."
+                )
+
     def _check_wiring(self) -> None:
         """Every key a term reads must be there before it runs, for observations at a reset too."""
         if keys.FINISHED not in self.terms.task.outputs:
@@ -371,6 +381,7 @@ class Stages(nn.Module):
                 f"{self.terms.task.path} does not write {'.'.join(keys.FINISHED)}, by which "
                 "episodes succeed; let it write whether the task is done."
             )
+        self._require_use()
         kept = set(self.persistent)
         past = {key for key in self.memory if key[1:] in kept}
         shared = {key for key, declared in DECLARED.items() if declared.shared}

@@ -18,19 +18,24 @@ from resc.quantities import NotNegative, Within
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import Context, Term
 
+AIR = (keys.WIND_W, keys.GUST_W, keys.CLOCK)
+GUST_HZ = (0.1, 0.3, 0.9, 2.0)
+"""Frequencies of gusts: slower ones are wind to a flight of seconds, faster ones mass filters."""
+
 
 class RigidBody(Term):
     """State after one control step [SI], the rotor commands held.
 
     p'' = -g e3 + (sum f_i) b_z / m - k v ;  J w' = -w x J w + tau(f) ;  f' = (f_command - f) / T.
-    No gyroscopic rotor torque, ground effect or wind. The published set-up has T = 0 and k = 0 and
-    two substeps of 10 ms (facts 2.1, 2.5). Rotor lag is solved exactly between the RK4 stages,
-    since T may be shorter than a substep.
+    In wind, k v is relative to the air. No gyroscopic rotor torque, no ground effect. The published
+    set-up has T = 0 and k = 0 and two substeps of 10 ms (facts 2.1, 2.5). Rotor lag is solved
+    exactly between the RK4 stages, since T may be shorter than a substep.
 
     Args:
         substeps: RK4 steps per control step; at least one for every run of the rate loop.
         rotor_time_constant_s: T; zero makes the rotors instantaneous.
         drag_1ps: k, linear drag per mass.
+        in_wind: Whether the air moves as `randomization=wind` draws it; else it stands still.
     """
 
     reads = (
@@ -61,8 +66,15 @@ class RigidBody(Term):
         substeps: Annotated[int, Within(1, 100)] = 2,
         rotor_time_constant_s: NotNegative = 0.0,
         drag_1ps: NotNegative = 0.0,
+        in_wind: bool = False,
     ) -> None:
         super().__init__()
+        if in_wind and not drag_1ps:
+            raise ConfigError(
+                "in_wind is true, but drag_1ps is zero, so wind would do nothing; set drag_1ps."
+            )
+        if in_wind:
+            self.reads = (*self.reads, *AIR)
         if substeps < 1:
             raise ConfigError(f"substeps is {substeps}; expected at least 1.")
         if min(rotor_time_constant_s, drag_1ps) < 0:
@@ -73,11 +85,12 @@ class RigidBody(Term):
         self.rotor_time_constant_s = rotor_time_constant_s
         self.drag_1ps = drag_1ps
         self.steps = substeps
-        self.dt_s = 0.0
+        self.dt_s = self.period_s = 0.0
 
     def bind(self, context: Context) -> None:
         """Takes the time that a call is for, and how many steps it takes."""
         self.dt_s = context.dt_s
+        self.period_s = context.dt_s * context.runs
         self.steps = steps_per_run(self.substeps, context.runs)
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
@@ -101,7 +114,9 @@ class RigidBody(Term):
         torque_coefficient: Float[Tensor, "n 1"],
         arm: Float[Tensor, "n 3"],
         thrust_scale: Float[Tensor, "n 1"],
+        *air: Tensor,
     ) -> tuple[Tensor, ...]:
+        wind = wind_at(*air, period_s=self.period_s) if air else None
         step_s = self.dt_s / self.steps
         target = command * thrust_scale
         start = velocity
@@ -110,7 +125,11 @@ class RigidBody(Term):
             acceleration_b = mean_thrust.sum(-1, keepdim=True) / mass
             torque = body_torque(mean_thrust, arm, torque_coefficient)
             slopes = partial(
-                self._slopes, acceleration_b=acceleration_b, torque=torque, inertia=inertia
+                self._slopes,
+                acceleration_b=acceleration_b,
+                torque=torque,
+                inertia=inertia,
+                wind=wind,
             )
             position, velocity, attitude, body_rate = rk4(
                 slopes, (position, velocity, attitude, body_rate), step_s
@@ -119,14 +138,20 @@ class RigidBody(Term):
         return position, velocity, attitude, body_rate, thrust, (velocity - start) / self.dt_s
 
     def _slopes(
-        self, state: State, acceleration_b: Tensor, torque: Tensor, inertia: Tensor
+        self,
+        state: State,
+        acceleration_b: Tensor,
+        torque: Tensor,
+        inertia: Tensor,
+        wind: Tensor | None,
     ) -> State:
         """Derivatives of position, velocity, attitude and body rate, the rotors' effect held."""
         _, v, q, w = state
         gravity = torch.stack(
             (torch.zeros_like(v[:, 0]), torch.zeros_like(v[:, 0]), v[:, 2] * 0 + GRAVITY_MPS2), -1
         )
-        linear = acceleration_b * rotation.body_z_w(q) - gravity - self.drag_1ps * v
+        linear = acceleration_b * rotation.body_z_w(q) - gravity
+        linear = linear - self.drag_1ps * (v if wind is None else v - wind)
         return v, linear, rotation.derivative(q, w), angular_acceleration(w, torque, inertia)
 
     def _rotors(self, thrust: Tensor, target: Tensor, step_s: float) -> tuple[Tensor, Tensor]:
@@ -137,6 +162,23 @@ class RigidBody(Term):
         rest = -math.expm1(-step_s / constant)  # expm1: 1 - exp(-x) loses digits for short substeps
         mean = target + (thrust - target) * (rest * constant / step_s)
         return mean, thrust + (target - thrust) * rest
+
+
+def wind_at(
+    mean: Float[Tensor, "n 3"],
+    gusts: Float[Tensor, "n f 2 3"],
+    step: Float[Tensor, "n 1"],
+    *,
+    period_s: float,
+) -> Float[Tensor, "n 3"]:
+    """Wind [m/s] during a control step: the mean, and the gusts of four frequencies.
+
+    w(t) = mean + sum_k a_k cos(2 pi f_k t) + b_k sin(2 pi f_k t), t the time since the reset.
+    """
+    hertz = torch.tensor(GUST_HZ, device=mean.device)
+    angle = 2 * math.pi * period_s * step * hertz  # [n, f]
+    waves = torch.stack((angle.cos(), angle.sin()), -1).unsqueeze(-1)  # [n, f, 2, 1]
+    return mean + (gusts * waves).sum((1, 2))
 
 
 def steps_per_run(substeps: int, runs: int) -> int:
