@@ -93,7 +93,8 @@ def every_list():
     chosen = {g: [n for n in found if not is_set(g, n)] for g, found in chosen.items()}
     chosen["sensor"].sort(key=lambda name: name != "euler")  # others read it
     lists = [f"{group}=[{','.join(found)}]" for group, found in chosen.items()]
-    return [*lists, "scene.clearance_m=[0.3,0.5]"]  # as the margins drawn want it
+    # as the margins and the wind that are drawn want it
+    return [*lists, "scene.clearance_m=[0.3,0.5]", "dynamics=in_wind"]
 
 
 @pytest.fixture(scope="module")

@@ -11,14 +11,14 @@ from torch import Tensor
 
 from resc import keys
 from resc.errors import ConfigError
-from resc.keys import NestedKey
+from resc.keys import DECLARED, NestedKey
 from resc.math import rotation
 from resc.math.integrate import State, rk4
 from resc.quantities import NotNegative, Within
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import Context, Term
 
-AIR = (keys.WIND_W, keys.GUST_W, keys.CLOCK)
+AIR = (keys.WIND_W, keys.GUST_W)
 GUST_HZ = (0.1, 0.3, 0.9, 2.0)
 """Frequencies of gusts: slower ones are wind to a flight of seconds, faster ones mass filters."""
 
@@ -35,7 +35,7 @@ class RigidBody(Term):
         substeps: RK4 steps per control step; at least one for every run of the rate loop.
         rotor_time_constant_s: T; zero makes the rotors instantaneous.
         drag_1ps: k, linear drag per mass.
-        in_wind: Whether the air moves as `randomization=wind` draws it; else it stands still.
+        in_wind: Whether drag is relative to the wind that `randomization=wind` draws.
     """
 
     reads = (
@@ -74,7 +74,8 @@ class RigidBody(Term):
                 "in_wind is true, but drag_1ps is zero, so wind would do nothing; set drag_1ps."
             )
         if in_wind:
-            self.reads = (*self.reads, *AIR)
+            self.reads = (*self.reads, *AIR, keys.CLOCK)
+            self.keeps = AIR
         if substeps < 1:
             raise ConfigError(f"substeps is {substeps}; expected at least 1.")
         if min(rotor_time_constant_s, drag_1ps) < 0:
@@ -94,11 +95,13 @@ class RigidBody(Term):
         self.steps = steps_per_run(self.substeps, context.runs)
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
-        """The rotors carry the weight, and nothing has accelerated yet."""
+        """The rotors carry the weight, nothing has accelerated yet, and the air is as drawn."""
         hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
+        still = {key: hover.new_zeros(len(hover), *DECLARED[key].shape) for key in AIR}
         return {
             keys.ROTOR_THRUST: hover.expand(-1, 4),
             keys.ACCELERATION_W: torch.zeros_like(tensors[keys.VELOCITY_W]),
+            **{key: tensors.get(key, still[key]) for key in self.keeps},
         }
 
     def compute(

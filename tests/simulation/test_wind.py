@@ -73,10 +73,15 @@ def test_every_episode_has_wind_of_its_own_that_stays(compose):
     assert torch.equal(env.value_of(keys.WIND_W)[stays], before[stays])
 
 
-def test_wind_without_drag_and_dynamics_without_wind_are_one_sentence(compose):
+def test_wind_without_drag_or_without_dynamics_that_feel_it_is_one_sentence(compose):
     with pytest.raises(ConfigError, match="in_wind is true, but drag_1ps is zero"):
         build_stages(compose("dynamics=in_wind", "dynamics.drag_1ps=0.0"))
-    with pytest.raises(ConfigError, match=r"dynamics reads air\.wind_w, which nothing before it"):
-        build_stages(compose("dynamics=in_wind"))
     with pytest.raises(ConfigError, match=r"randomization\.wind draws air\.wind_w, which nothing"):
         build_stages(compose("randomization=[wind]"))
+
+
+def test_without_a_draw_the_air_stands_still(compose):
+    env = set_up(compose("dynamics=in_wind"), size=2, seed=0).env(2, compiled=False)
+    env.reset()
+    assert (env.value_of(keys.WIND_W) == 0).all()
+    assert (env.value_of(keys.GUST_W) == 0).all()
