@@ -97,7 +97,7 @@ class RigidBody(Term):
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, nothing has accelerated yet, and the air is as drawn."""
         hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
-        still = {key: hover.new_zeros(len(hover), *DECLARED[key].shape) for key in AIR}
+        still = {key: hover.new_zeros([len(hover), *map(int, DECLARED[key].shape)]) for key in AIR}
         return {
             keys.ROTOR_THRUST: hover.expand(-1, 4),
             keys.ACCELERATION_W: torch.zeros_like(tensors[keys.VELOCITY_W]),
