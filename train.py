@@ -66,6 +66,7 @@ def run(training: TrainingRun, folder: Path) -> None:
     prepare_process(config["threads"], config["device"])
     print(f"Laying out {config['pool_size']} scenes", flush=True)
     trainer = training.trainer()
+    training.check_recorder(trainer)
     training.check_held_out(trainer.env.stages)
     restore(trainer, folder, resumes=bool(config["resume"]), init_from=config["init_from"])
     if is_finished(folder):

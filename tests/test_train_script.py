@@ -366,3 +366,13 @@ def test_folder_of_an_evaluation_is_not_resumed(compose, tmp_path):
     (tmp_path / "config.yaml").write_text("flights: 3")
     with pytest.raises(ConfigError, match="holds no training run"):
         resumed_by(compose(f"resume={tmp_path}"), [], tmp_path)
+
+
+def test_a_recorder_that_cannot_be_leaves_no_run_behind(compose, tmp_path):
+    folder = tmp_path / "runs" / "2026-01-01" / "run"
+    folder.mkdir(parents=True)
+    config = compose(*RUN, "recorder=mcap", "recorder.max_gb=0.1")
+    with pytest.raises(ConfigError, match=r"max_gb is 0\.1; expected at least twice"):
+        script.run(TrainingRun(config), folder)
+    assert not list(folder.iterdir())
+    assert not (tmp_path / "runs" / "latest_train").exists()

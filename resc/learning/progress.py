@@ -226,6 +226,7 @@ def _add_legend(axes: Axes, **options: Any) -> None:  # noqa: ANN401 - matplotli
 def _first_sentence(term: object) -> str:
     """The first sentence of a term's docstring."""
     text = " ".join((type(term).__doc__ or "").split())
+    text = re.sub(r" \(facts [\d., ab]+\)", "", text)  # sections of the sheet of public facts
     ends = [found.start() for found in re.finditer(r"\.(?= |$)", text)]
     ends = [end for end in ends if not text[:end].lower().endswith(ABBREVIATIONS)]
     return shorten(text[: ends[0]] if ends else text, LONGEST_SENTENCE, placeholder=" ...")

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -128,6 +129,17 @@ class TrainingRun:
             num_envs=trainer.env.num_envs,
             facts={"policy_sha256": digest(trainer.policy)},
         )
+
+    def check_recorder(self, trainer: Trainer) -> None:
+        """Opens the recorder somewhere else, so that the run's folder is only made if it can be.
+
+        Raises:
+            ConfigError: A number of `recorder` is wrong.
+        """
+        with TemporaryDirectory() as elsewhere:
+            recorder = self.recorder(trainer, Path(elsewhere))
+            if recorder is not None:
+                recorder.close()
 
     def logger(self, folder: Path) -> Logger:
         """What the figures of training go to."""

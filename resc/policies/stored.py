@@ -253,6 +253,8 @@ def _where_else(folder: Path) -> str:
     """Which folder to give instead of one that holds no policy."""
     if run := next(iter(sorted(folder.glob(f"[0-9]*/{POLICY}"))), None):
         return f"it is a sweep's: give one of its runs, such as {run.parent}"
+    if not folder.exists():
+        return "there is no such folder: give that of a finished run"
     if (folder / CONFIG).exists() and "total_frames" not in load_config(folder / CONFIG):
         return (
             "it is an evaluation's: give policy=latest for the last training, the folder of a run"
