@@ -2,32 +2,31 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from omegaconf import OmegaConf
 
-from resc import keys
 from resc.build import build
 from resc.errors import ConfigError, nearest
 from resc.places import CONF
-from resc.simulation.vehicle import GRAVITY_MPS2, Vehicle
-from resc.term import Context
-
-CONTROL_S = 0.02
-_PARTS_PER_STEP = 4
+from resc.simulation.response import Loop
+from resc.simulation.vehicle import Vehicle
 
 MODELS: dict[str, tuple[str, str, str]] = {
     "imp250": ("imp250", "normalized", "rigid_body"),
     "iris": ("iris", "torque", "rigid_body"),
+    "iris_px4": ("iris_px4", "px4", "gazebo"),
+    "iris_sih": ("iris_sih", "px4", "sih"),
 }
 """Names of files in conf/vehicle, conf/rate_loop and conf/dynamics."""
 
 
 @dataclass(frozen=True)
 class LoopModel:
-    """A vehicle at hover under its rate loop, which runs once in 20 ms."""
+    """A vehicle at hover under its rate loop."""
 
     name: str
     vehicle: Vehicle
@@ -48,54 +47,36 @@ def loop_model(name: str) -> LoopModel:
     if name not in MODELS:
         raise ConfigError(f"There is no model '{name}'.{nearest(name, MODELS)}")
     vehicle_name, loop_name, dynamics_name = MODELS[name]
-    vehicle = _part("vehicle", vehicle_name)
+    vehicle = part_of("vehicle", vehicle_name)
 
-    @torch.no_grad()
     def respond(set_points: Float[np.ndarray, "n t 3"], dt_s: float) -> Float[np.ndarray, "n t 3"]:
-        loop, dynamics = _part("rate_loop", loop_name), _part("dynamics", dynamics_name)
-        part_s = CONTROL_S / _PARTS_PER_STEP
-        for term, period in ((loop, CONTROL_S), (dynamics, part_s)):
-            term.bind(Context(dt_s=period, resolution_m=0.1, vehicle=vehicle))
+        loop, dynamics = part_of("rate_loop", loop_name), part_of("dynamics", dynamics_name)
         rows, count, _ = set_points.shape
         times = np.arange(count) * dt_s
-        fine = np.arange(0.0, times[-1] + part_s, part_s)
         asked = torch.from_numpy(set_points.astype(np.float32))
-        tensors = _at_rest(vehicle, rows)
-        tensors.update(dynamics.begin(tensors))
-        tensors[keys.ROTOR_THRUST] = tensors[keys.ROTOR_THRUST].expand(rows, 4)
-        rates = []
-        for number, time in enumerate(fine):
-            rates.append(tensors[keys.BODY_RATE_B])
-            if number % _PARTS_PER_STEP == 0:
-                place = min(int(time / dt_s + 1e-6), count - 1)
-                tensors[keys.BODY_RATE_COMMAND_B] = asked[:, place]
-                loop.run(tensors)
-            dynamics.run(tensors)
-        found = torch.stack(rates, 1).numpy().astype(np.float64)
-        return _between(times, fine, found)
+
+        def at(time: float) -> tuple[torch.Tensor, None]:
+            return asked[:, min(int(time / dt_s + 1e-6), count - 1)], None
+
+        flown = Loop(vehicle, loop, dynamics)
+        fine, rates = flown.rates(at, (0.0, float(times[-1])), torch.zeros(rows, 3))
+        return _between(times, fine.numpy(), rates.numpy().astype(np.float64))
 
     return LoopModel(name, vehicle, respond)
 
 
-def _part(group: str, name: str):  # noqa: ANN202 - whatever the file builds
+def part_of(group: str, name: str) -> Any:  # noqa: ANN401 - whatever the file builds
+    """What a file of conf builds, named as in a run.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    there = sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+    if name not in there:
+        raise ConfigError(f"{group} has no '{name}'.{nearest(name, there)}")
     node = OmegaConf.to_container(OmegaConf.load(CONF / group / f"{name}.yaml"))
     part = build(node, group)
     return part.named(group) if hasattr(part, "named") else part
-
-
-def _at_rest(vehicle: Vehicle, rows: int) -> dict[keys.NestedKey, torch.Tensor]:
-    """Level, still, with the thrust that carries the weight."""
-    level = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(rows, 4)
-    zeros = torch.zeros(rows, 3)
-    weight = vehicle.mass_kg * GRAVITY_MPS2
-    return {
-        **{key: value.expand(rows, -1) for key, value in vehicle.parameters().items()},
-        keys.POSITION_W: zeros,
-        keys.VELOCITY_W: zeros,
-        keys.ATTITUDE_WB: level,
-        keys.BODY_RATE_B: zeros,
-        keys.COLLECTIVE_THRUST: torch.full((rows, 1), weight),
-    }
 
 
 def _between(
