@@ -7,11 +7,12 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from resc.build import ALLOWED, locate
+from resc.build import ALLOWED, locate, plain
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 from resc.evaluation.courses import Course
 from resc.groups import EVALUATE, names
+from resc.places import CONF
 from resc.recording.rollouts import RecordedRun
 from resc.scenes.layout import concatenate
 from resc.setup import among, build_stages
@@ -52,6 +53,8 @@ class Rules:
         asked, trained = self.asked, self.trained
         settings = {key: asked[key] for key in RUN}
         settings |= {group: asked.get(group) or trained.get(group, {}) for group in POLICYS}
+        if asked.get("rate_loop"):
+            settings["vehicle"] = with_controllers(settings["vehicle"])
         settings["env"] = {**trained["env"], **(asked.get("env") or {})}  # numbers, each for itself
         rules = trained if self.own_routes else asked
         settings |= {group: rules[group] for group in SCENES}
@@ -94,6 +97,21 @@ class Rules:
         layout = concatenate([course.layout for course in courses])
         setup = among(layout, self.stages, run["device"])
         return setup.env(len(layout), compiled=run["compile"], seed=run["seed"], in_order=True)
+
+
+def with_controllers(vehicle: Settings) -> Settings:
+    """A vehicle with what flight controllers are told of it.
+
+    One that was stored before it said so has what the file with its numbers says today, if any.
+    """
+    if "controllers" in vehicle:
+        return vehicle
+    for path in sorted((CONF / "vehicle").glob("*.yaml")):
+        file = plain(OmegaConf.load(path))
+        controllers = file.pop("controllers", None)
+        if controllers and file == dict(plain(vehicle)):
+            return {**vehicle, "controllers": controllers}
+    return vehicle
 
 
 def _judges(name: object, node: object, allowed: Sequence[str]) -> bool:

@@ -53,6 +53,18 @@ def test_part_named_on_the_command_line_replaces_the_policys(evaluation, stored)
     assert rules["dynamics"]["rotor_time_constant_s"] == 0.02
 
 
+def test_a_vehicle_stored_without_gains_has_those_of_its_file_for_another_rate_loop(
+    evaluation, stored
+):
+    old = stored.copy()
+    old["vehicle"].pop("controllers", None)
+    assert "controllers" not in Rules(evaluation(), old, own_routes=False).settings["vehicle"]
+    px4 = evaluation("rate_loop=px4")
+    assert "px4" in Rules(px4, old, own_routes=False).settings["vehicle"]["controllers"]
+    old["vehicle"]["mass_kg"] = 1.7
+    assert "controllers" not in Rules(px4, old, own_routes=False).settings["vehicle"]
+
+
 def test_flights_begin_at_rest_where_their_scene_says(corridor, flying):
     course = corridor(3)
     env = flying([course])
