@@ -49,6 +49,10 @@ class CallError(RescError, ValueError):
     """A call in the wrong order, or with a tensor of another shape, type or device."""
 
 
+class LinkError(RescError):
+    """A flight controller that does not answer, or a flight that had to be stopped."""
+
+
 class SweepError(RescError):
     """A sweep that ended with runs that failed or are not finished."""
 

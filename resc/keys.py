@@ -272,6 +272,10 @@ ESTIMATES = {
 }
 """What is estimated: the key of the truth, and that of the estimate, which the policy sees."""
 
+LINK_STOPPED = _declare(
+    ("link", "stopped"), (1,), "-", "the flight behind a link was stopped", torch.bool
+)
+
 TERMINATED = _declare(("terminated",), (1,), "-", "the episode ended in its own right", torch.bool)
 TRUNCATED = _declare(("truncated",), (1,), "-", "the episode was cut by the clock", torch.bool)
 DONE = _declare(("done",), (1,), "-", "terminated or truncated", torch.bool)

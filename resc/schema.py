@@ -127,6 +127,24 @@ class EvaluateSchema(RunSchema):
 
 
 @dataclass
+class FlySchema(EvaluateSchema):
+    """What `python -m resc.deployment.fly` needs beside the settings of an evaluation.
+
+    Args:
+        connection: udp:HOST:PORT to listen, udpout:HOST:PORT to speak first.
+        arm: Arm the vehicle and switch it to OFFBOARD; false waits for the pilot to do both.
+        link: Times and limits, see `resc.deployment.settings.LinkSettings`.
+        peer: Of the simulated vehicle, `python -m resc.deployment.peer`.
+    """
+
+    name: str = "fly"
+    connection: str | None = None
+    arm: bool = False
+    link: dict[str, Any] = field(default_factory=dict)
+    peer: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
 @with_groups(BOUND)
 class BoundSchema(RunSchema):
     """What `python -m resc.evaluation.bound` needs.
@@ -168,7 +186,7 @@ def folder_name(name: object) -> str:
 
 
 def register() -> None:
-    """Makes what train.yaml, evaluate.yaml and bound.yaml refer to known to Hydra."""
+    """Makes what train.yaml, evaluate.yaml, bound.yaml and fly.yaml refer to known to Hydra."""
     OmegaConf.register_new_resolver("new_folder", new_folder, replace=True)
     OmegaConf.register_new_resolver("folder_name", folder_name, replace=True)
     store_types()
@@ -180,3 +198,4 @@ def store_types() -> None:
     store.store(name="schema", node=TrainSchema)
     store.store(name="evaluate_schema", node=EvaluateSchema)
     store.store(name="bound_schema", node=BoundSchema)
+    store.store(name="fly_schema", node=FlySchema)

@@ -21,7 +21,7 @@ FLOORS = (
     {"setup", "flight_logs"},
     {"viewing", "flying", "door"},
     {"learning", "evaluation", "log_command"},
-    {"studies"},
+    {"studies", "deployment"},
     {"sweeps"},
 )
 """From the ground up. Rooms of one floor do not know each other."""

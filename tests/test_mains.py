@@ -12,7 +12,7 @@ GUARD = 'if __name__ == "__main__":'
 MAINS = sorted(
     path for path in (ROOT / "resc").rglob("*.py") if GUARD in path.read_text(encoding="utf-8")
 )
-OF_HYDRA = ("bound.py", "transfer.py")
+OF_HYDRA = ("bound.py", "transfer.py", "fly.py", "peer.py")
 """Hydra reads their arguments, and a process does that once."""
 WRONG = {
     "scores.py": ("nowhere",),

@@ -173,7 +173,7 @@ class Stages(nn.Module):
         for key in self.memory:
             tensors[key] = world[key[1:]]
         _run(terms.action, tensors, drawn)
-        self._move(tensors, drawn)
+        self.move(tensors, drawn)
         for term in (terms.task, *terms.measuring, *terms.terminations):
             _run(term, tensors, drawn)
         self._finish(tensors)
@@ -273,7 +273,7 @@ class Stages(nn.Module):
         part = replace(self.context, dt_s=self.context.dt_s / runs, runs=runs)
         _bind(terms.dynamics, part)
 
-    def _move(self, tensors: World, drawn: Mapping[str, Tensor]) -> None:
+    def move(self, tensors: World, drawn: Mapping[str, Tensor]) -> None:
         """Rate loop and dynamics, as often as the rate loop runs in a control step."""
         loop, dynamics = self.terms.rate_loop, self.terms.dynamics
         if loop.runs == 1:

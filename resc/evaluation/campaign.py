@@ -74,7 +74,7 @@ class Evaluation:
                 or a pilot cannot fly this environment.
         """
         began = time.perf_counter()
-        contest = self._contest()
+        contest = self.contest()
         folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(OmegaConf.create(dict(self.asked)), folder / "config.yaml")
         results = self._fly_all(contest, folder)
@@ -183,7 +183,7 @@ class Evaluation:
         for pilot in self.pilots:
             pilot.check(self._rules[False].stages)
 
-    def _contest(self) -> Contest:
+    def contest(self) -> Contest:
         """What the pilots fly: everything checked, laid out and planned."""
         self.check()
         config, scenes, allowed = self.config, self.scenes, self.config["allowed_targets"]

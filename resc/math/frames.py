@@ -31,6 +31,24 @@ def attitude_enu_flu(attitude_ned_frd: Float[np.ndarray, "t 4"]) -> Float[np.nda
     return _product(_product(_ENU_NED[None], attitude_ned_frd), _FLU_FRD[None])
 
 
+def ned_from_enu(vectors: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, "t 3"]:
+    """World vectors: (east, north, up) as (north, east, down)."""
+    return enu_from_ned(vectors)
+
+
+def frd_from_flu(vectors: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, "t 3"]:
+    """Body vectors: (forward, left, up) as (forward, right, down)."""
+    return flu_from_frd(vectors)
+
+
+def attitude_ned_frd(attitude_enu_flu: Float[np.ndarray, "t 4"]) -> Float[np.ndarray, "t 4"]:
+    """Attitude, FRD body to NED world, from that of FLU body to ENU world.
+
+    q = q(ENU to NED) q(FLU to ENU) q(FRD to FLU): half turns, which are their own inverses.
+    """
+    return _product(_product(_ENU_NED[None], attitude_enu_flu), _FLU_FRD[None])
+
+
 def _product(a: Float[np.ndarray, "_ 4"], b: Float[np.ndarray, "_ 4"]) -> Float[np.ndarray, "t 4"]:
     """Hamilton product of quaternions."""
     (aw, ax, ay, az), (bw, bx, by, bz) = a.T, b.T

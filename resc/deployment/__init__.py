@@ -1,0 +1,1 @@
+"""Flying a vehicle behind a MAVLink connection with a trained policy."""
