@@ -1,28 +1,35 @@
 """One flight of a vehicle behind a link: prepared as an evaluation, flown, recorded."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from resc import keys
 from resc.deployment.geofence import Geofence
 from resc.deployment.link import Link
 from resc.deployment.vehicle import LinkedVehicle, MeasuredStart
-from resc.deployment.wire import now_s
+from resc.deployment.wire import mavlink, now_s, parsed
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError
 from resc.evaluation.campaign import Evaluation
 from resc.evaluation.courses import Course
 from resc.evaluation.setting import Rules
+from resc.evaluation.suites import scenes_to_fly
 from resc.flying.flight_log import FlightLog
 from resc.flying.flights import require_time_limit
 from resc.flying.loop import flown
 from resc.flying.pilot import PolicyPilot
+from resc.policies.stored import load_policy, policy_folder
+from resc.process import prepare_process
+from resc.schema import FlySchema
+from resc.settings import check_settings
+from resc.starting.composed import compose_scenes, given
 
 PARTS = {
     "dynamics": "resc.deployment.vehicle.LinkedVehicle",
@@ -35,21 +42,24 @@ REHEARSED = 10
 """Steps before a flight, of a vehicle that stands."""
 
 
-def linked(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of an evaluation whose vehicle is the one behind a link.
+def linked(evaluation: Evaluation) -> Evaluation:
+    """The same evaluation, but the vehicle is the one behind a link.
 
     Raises:
         ConfigError: Settings ask for another vehicle than that.
     """
-    for name in (*PARTS, "randomization"):
+    config = evaluation.config
+    for name in (*PARTS, "randomization", "estimator"):
         if config[name]:
             raise ConfigError(f"{name} is the real vehicle's here; leave out {name}=.")
     if config["compile"]:
-        raise ConfigError("compile is true, but a vehicle behind a link is not compiled; drop it.")
+        raise ConfigError(
+            "compile is true, but a vehicle behind a link is not compiled; leave it out."
+        )
     parts = {name: {"_target_": target} for name, target in PARTS.items()}
     task = {**config["task"], "initial_state": {"_target_": START}}
     termination = {"link": STOPPED, **config["termination"]}
-    return {**config, **parts, "task": task, "termination": termination}
+    return replace(evaluation, config={**config, **parts, "task": task, "termination": termination})
 
 
 @dataclass(frozen=True)
@@ -112,6 +122,41 @@ def prepare(evaluation: Evaluation) -> Prepared:
     course, rules = one_flight(evaluation)
     require_time_limit(rules.stages)
     return Prepared(course, rules, rules.env([course]), PolicyPilot(evaluation.policy))
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the commands of this room begin with.
+
+    Args:
+        config: Of fly.yaml.
+        folder: Where what it leaves goes.
+    """
+
+    config: DictConfig
+    folder: Path
+
+    def check(self) -> None:
+        """Looks at what can be wrong before anything is laid out.
+
+        Raises:
+            ConfigError: A setting is wrong, or pymavlink is not installed.
+        """
+        check_settings(self.config, FlySchema)
+        OmegaConf.resolve(self.config)
+        prepare_process(self.config["threads"], self.config["device"])
+        mavlink()
+        parsed(self.config["connection"])
+
+    def evaluation(self, **changes: object) -> Evaluation:
+        """The evaluation that a flight is prepared as; `changes` are settings."""
+        config = self.config
+        names = scenes_to_fly(config["scenes"], config["suite"], given())
+        scenes = compose_scenes(names, config["scene"])
+        folder = str(policy_folder(config["policy"], "policy"))
+        policy = load_policy(Path(folder), config["device"], config["allowed_targets"])
+        plain = {str(name): config[name] for name in config if name not in ("link", "peer")}
+        return Evaluation({**plain, "policy": folder, **changes}, policy, scenes, given())
 
 
 @torch.no_grad()

@@ -37,7 +37,7 @@ class Link:
 
     Args:
         wire: Speaks MAVLink.
-        settings: Times and limits.
+        numbers: Times and limits.
         set_points: Makes set-points.
         period_s: Time between two of them.
         say: Tells the user what happens.
@@ -46,13 +46,13 @@ class Link:
     def __init__(
         self,
         wire: Wire,
-        settings: LinkSettings,
+        numbers: LinkSettings,
         set_points: SetPoints,
         period_s: float,
         say: Callable[[str], None] = print,
     ) -> None:
-        self.wire, self.settings, self.set_points, self.say = wire, settings, set_points, say
-        self.schedule = Schedule(period_s, settings.late_s)
+        self.wire, self.numbers, self.set_points, self.say = wire, numbers, set_points, say
+        self.schedule = Schedule(period_s, numbers.late_s)
         self.reader = OdometryReader(_frame_names(wire.messages))
         self.frames = FrameCheck()
         self.geofence: Geofence | None = None
@@ -84,7 +84,7 @@ class Link:
         Raises:
             LinkError: Nothing answers, or the vehicle is elsewhere.
         """
-        until = now_s() + self.settings.wait_s
+        until = now_s() + self.numbers.wait_s
         asked_s = -np.inf
         while self.target is None or self.state is None:
             if now_s() > until:
@@ -94,7 +94,7 @@ class Link:
                 asked_s = now_s()
                 self._ask_rates()
         self.say(f"vehicle {self.target[0]} answers; position {_shown(self.state.position_w)} m")
-        require_near(self.state, start_w, self.settings.start_m)
+        require_near(self.state, start_w, self.numbers.start_m)
         require_upright(self.state)
         if self.geofence is not None:
             self.geofence.check(self.state)
@@ -116,14 +116,14 @@ class Link:
         while True:
             self._exchange(self.set_points.neutral())
             waited = now_s() - began
-            if waited < self.settings.warm_up_s:
+            if waited < self.numbers.warm_up_s:
                 continue
             if self.in_offboard and self.armed:
                 break
             if not told:
                 self.say("asking for OFFBOARD" if arm else "waiting for the pilot: arm, OFFBOARD")
                 told = True
-            if waited > self.settings.warm_up_s + self.settings.engage_s:
+            if waited > self.numbers.warm_up_s + self.numbers.engage_s:
                 raise self._stopped(self._not_engaged(arm))
             if arm and now_s() - asked_s > AGAIN_S:
                 asked_s = now_s()
@@ -177,7 +177,7 @@ class Link:
         self._watch()
         self._send(point)
         self._greet()
-        self._receive(self.schedule.kept() - self.settings.lead_s)
+        self._receive(self.schedule.kept() - self.numbers.lead_s)
         self._watch()
         assert self.state is not None, "wait comes first"
         return self.state
@@ -185,7 +185,7 @@ class Link:
     def _receive(self, until_s: float) -> None:
         """Takes messages until then, but no longer than the state is fresh."""
         while True:
-            fresh_until = now_s() + self.settings.stale_s - self.age_s
+            fresh_until = now_s() + self.numbers.stale_s - self.age_s
             limit = min(until_s, fresh_until) if self.schedule.due_s is not None else until_s
             for message, address in self.wire.receive(limit - now_s()):
                 self._take(message, address)
@@ -238,11 +238,11 @@ class Link:
         """Stops what must not go on."""
         if self.interrupted:
             raise self._stopped(f"Stopped by {self.interrupted}.")
-        if self.age_s >= self.settings.stale_s:
+        if self.age_s >= self.numbers.stale_s:
             age = f"{1e3 * self.age_s:.0f} ms"
-            silent = now_s() - self.heard_s >= self.settings.stale_s
+            silent = now_s() - self.heard_s >= self.numbers.stale_s
             fact = "Nothing was heard of the vehicle" if silent else "The odometry was not renewed"
-            raise self._stopped(f"{fact} for {age} (link.stale_s is {self.settings.stale_s:g}).")
+            raise self._stopped(f"{fact} for {age} (link.stale_s is {self.numbers.stale_s:g}).")
 
     def _stopped(self, reason: str) -> LinkError:
         """Hands over at once; returns the error to raise."""
@@ -292,7 +292,7 @@ class Link:
         self.wire.send(message(*self.target, command, 0, *padded))
 
     def _silence(self) -> str:
-        waited = f"{self.settings.wait_s:g} s"
+        waited = f"{self.numbers.wait_s:g} s"
         if self.target is None:
             return (
                 f"No flight controller answered within {waited}; check connection= and that it "
@@ -308,7 +308,7 @@ class Link:
         state += "in OFFBOARD" if self.in_offboard else "not in OFFBOARD"
         refused = sorted(c for c, result in self.acknowledged.items() if result)
         told = f" (it refused command {refused[0]})" if refused else ""
-        wait = f"{self.settings.engage_s:g} s"
+        wait = f"{self.numbers.engage_s:g} s"
         help_ = "see what its ground station says" if arm else "arm and switch it, or set arm=true"
         return f"The vehicle is {state} after {wait}{told}; {help_}."
 

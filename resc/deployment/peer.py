@@ -10,27 +10,22 @@ rate_loop=torque, dynamics=lag_and_drag. Ctrl-C ends it.
 
 import threading
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
 from resc.build import build
 from resc.console import logged
-from resc.deployment.flight import one_flight
-from resc.deployment.fly import evaluation_of
+from resc.deployment.flight import Command, one_flight
 from resc.deployment.impaired import ImpairedWire
 from resc.deployment.link import ARMED, AUTO, CUSTOM, LOITER, OFFBOARD
 from resc.deployment.odometry import BODY_FRD, LOCAL_NED, Odometry, matrix
 from resc.deployment.plant import Plant
 from resc.deployment.settings import PeerSettings
-from resc.deployment.wire import mavlink, now_s, parsed
+from resc.deployment.wire import now_s
 from resc.math.frames import attitude_ned_frd, flu_from_frd, frd_from_flu, ned_from_enu
-from resc.process import prepare_process
-from resc.settings import check_settings
 from resc.starting.launch import launch_here
 
 SYSTEM = 1
@@ -51,11 +46,11 @@ class Peer:
     Args:
         wire: Speaks MAVLink.
         plant: The vehicle.
-        settings: How it behaves.
+        behaviour: How it behaves.
     """
 
-    def __init__(self, wire: ImpairedWire, plant: Plant, settings: PeerSettings) -> None:
-        self.wire, self.plant, self.settings = wire, plant, settings
+    def __init__(self, wire: ImpairedWire, plant: Plant, behaviour: PeerSettings) -> None:
+        self.wire, self.plant, self.behaviour = wire, plant, behaviour
         self.messages = wire.messages
         self.armed, self.mode = False, AUTO
         self.place_w = plant.state().position_w
@@ -143,15 +138,15 @@ class Peer:
 
     def _tell(self, due_s: float) -> None:
         in_offboard_s = now_s() - self.offboard_s
-        if in_offboard_s > (self.settings.vanish_after_s or np.inf):
+        if in_offboard_s > (self.behaviour.vanish_after_s or np.inf):
             return
         if now_s() - self.heartbeat_s >= self.heartbeat_every_s:
             self.heartbeat_s = now_s()
             self._send(self._heartbeat())
-        if in_offboard_s <= (self.settings.silent_after_s or np.inf):
+        if in_offboard_s <= (self.behaviour.silent_after_s or np.inf):
             self.sent_odometry_s = now_s()
             state = self.plant.state(due_s - self.began_s)
-            self._send(odometry_message(self.messages, state, self.settings.frame))
+            self._send(odometry_message(self.messages, state, self.behaviour.frame))
 
     def _heartbeat(self) -> Any:  # noqa: ANN401
         messages = self.messages
@@ -197,40 +192,26 @@ def flu_attitude(frd: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
     return np.array([-x, w, z, -y])
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """A peer as a command.
-
-    Args:
-        config: Of fly.yaml.
-        folder: Where its log goes.
-    """
-
-    config: DictConfig
-    folder: Any
+class Simulated(Command):
+    """A peer as a command."""
 
     def __call__(self) -> None:
         """Runs it until Ctrl-C."""
-        check_settings(self.config, schema.FlySchema)
-        OmegaConf.resolve(self.config)
-        prepare_process(self.config["threads"], self.config["device"])
-        mavlink()
-        parsed(self.config["connection"])
-        settings: PeerSettings = build(self.config["peer"], "peer", kind=PeerSettings)
+        self.check()
+        behaviour: PeerSettings = build(self.config["peer"], "peer", kind=PeerSettings)
         with logged(self.folder / "peer.log"):
-            peer = peer_of(self.config, settings)
+            peer = self.peer(behaviour)
             print(f"a simulated vehicle speaks to {self.config['connection']}", flush=True)
             peer.run(threading.Event())
 
-
-def peer_of(config: DictConfig, settings: PeerSettings) -> Peer:
-    """A peer where the scene starts."""
-    env = {**(config["env"] or {}), "dt_s": 1 / settings.odometry_hz}
-    course, rules = one_flight(evaluation_of(config, env=env, recorder=None))
-    impairments = {name: getattr(settings, name) for name in ("loss", "delay_s", "jitter_s")}
-    plant = Plant(rules.env([course]))
-    wire = ImpairedWire(config["connection"], system=SYSTEM, **impairments)
-    return Peer(wire, plant, settings)
+    def peer(self, behaviour: PeerSettings) -> Peer:
+        """A peer where the scene starts."""
+        env = {**(self.config["env"] or {}), "dt_s": 1 / behaviour.odometry_hz}
+        course, rules = one_flight(self.evaluation(env=env, recorder=None))
+        impairments = {n: getattr(behaviour, n) for n in ("loss", "delay_s", "jitter_s")}
+        plant = Plant(rules.env([course]))
+        wire = ImpairedWire(self.config["connection"], system=SYSTEM, **impairments)
+        return Peer(wire, plant, behaviour)
 
 
 if __name__ == "__main__":

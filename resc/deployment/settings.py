@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from resc.errors import ConfigError
 from resc.quantities import NotNegative, Number, Positive, Share, Within
 
-Stale = Annotated[float, Within(0.01, 0.095)]
-"""At most this, so that a flight is stopped within a tenth of a second."""
+Stale = Annotated[float, Within(0.01, 0.5)]
+"""Beyond, PX4 gives up OFFBOARD almost as soon."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class LinkSettings:
         wait_s: How long to wait for the first heartbeat and for odometry.
         warm_up_s: How long neutral set-points are streamed before OFFBOARD is asked for.
         engage_s: How long to wait until the vehicle is armed and in OFFBOARD.
-        stale_s: Age of the odometry at which the flight is stopped.
+        stale_s: Age of the odometry at which the flight is stopped; below 0.1 it is stopped within
+            a tenth of a second.
         lead_s: How long before a set-point is due the state for it is taken.
         late_s: By how much a set-point may be late before it counts as a late one.
         start_m: Greatest distance from the start of the scene at which a flight begins.
