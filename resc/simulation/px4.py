@@ -61,6 +61,7 @@ class Px4RateLoop(Term):
     feed_forward: Tensor
     integral_limit: Tensor
     frame: Tensor
+    is_yaw: Tensor
     mix: Tensor
     demix: Tensor
 
@@ -102,6 +103,7 @@ class Px4RateLoop(Term):
         for name, numbers in {**constants, "frame": FLU_FRD}.items():
             self._keep(name, torch.tensor(numbers).unsqueeze(-1))
         self._keep("mix", mix)
+        self.register_buffer("is_yaw", torch.tensor([[False], [False], [True]]), persistent=False)
         self._keep("demix", torch.linalg.inv(mix)[:3])
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
@@ -140,7 +142,8 @@ class Px4RateLoop(Term):
         error = command - rate
         torque = self.p * error + integral.T - self.d * slope + self.feed_forward * command
         yaw = yaw_torque[:, 0] + self.yaw_share * (torque[2] - yaw_torque[:, 0])
-        torque = torch.stack((torque[0], torque[1], yaw))
+        # No stack: the compiler would keep yaw as an unaligned part of it, which its loop refuses.
+        torque = torch.where(self.is_yaw, yaw, torque)
         integral = self._integrated(integral.T, error, unallocated.T).T
         motors = allocate(torque, self._throttle(thrust[:, 0]), self.mix, self.settings.airmode)
         missing = torque - (self.demix.unsqueeze(-1) * motors).sum(1)

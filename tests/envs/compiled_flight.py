@@ -1,5 +1,7 @@
 """What test_compiled.py runs in a process of its own: `graph`, `difficulty`, `compare` or several.
 
+Arguments with an = are overrides.
+
 torch.compile cannot trace the wrappers of the tests' type checker, and an imported module cannot
 get rid of them.
 """
@@ -17,13 +19,14 @@ import resc.schema
 from resc.setup import set_up
 
 ROWS = 3
+OVERRIDES = [argument for argument in sys.argv[1:] if "=" in argument]
 
 
 @functools.cache
 def make_env(*, compiled):
     resc.schema.register()
     with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
-        config = compose("train", [f"num_envs={ROWS}", f"compile={compiled}"])
+        config = compose("train", [*OVERRIDES, f"num_envs={ROWS}", f"compile={compiled}"])
     return set_up(config, size=8, seed=0).env(config["num_envs"], compiled=config["compile"])
 
 
@@ -81,5 +84,5 @@ def same(name, ours, theirs):
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    for what in sys.argv[1:]:
+    for what in [argument for argument in sys.argv[1:] if "=" not in argument]:
         {"graph": graph, "difficulty": difficulty, "compare": compare}[what]()

@@ -28,3 +28,8 @@ def test_the_step_is_one_graph_and_another_difficulty_needs_no_other():
 @pytest.mark.slow  # some 45 s for the compiler, once; 15 s from its cache
 def test_the_compiled_environment_agrees_with_the_uncompiled_one_and_with_its_specs():
     run("compare")
+
+
+@pytest.mark.slow  # the runs of PX4's loop are one loop of the compiled program
+def test_the_compiled_loop_of_px4_agrees_with_the_uncompiled_one():
+    run("compare", "rate_loop=px4", "vehicle=iris_px4", "dynamics=gazebo")

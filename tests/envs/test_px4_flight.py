@@ -2,7 +2,6 @@
 
 import math
 
-import pytest
 import torch
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
@@ -41,17 +40,3 @@ def test_two_batches_train(compose):
     for _ in range(2):
         figures = trainer.iterate()
         assert all(math.isfinite(figure) for figure in figures.values())
-
-
-@pytest.mark.slow
-def test_the_compiled_step_agrees_with_the_one_that_is_not(make_env):
-    overrides = ("num_envs=8", "obstacle_observation=none", "scene=free", *PX4)
-    envs = [make_env(*overrides, f"compile={compiled}", seed=3) for compiled in ("false", "true")]
-    actions = torch.rand(6, 8, 4, generator=torch.Generator().manual_seed(0)) - 0.5
-    for env in envs:
-        env.restart(torch.arange(8))
-        for action in actions:
-            env.advance(action)
-    plain, compiled = (env.world for env in envs)
-    for key in plain.keys(include_nested=True, leaves_only=True):
-        assert_close(compiled[key], plain[key], atol=2e-4, rtol=1e-4, msg=str(key))
