@@ -67,10 +67,7 @@ class Peer:
         """Lives in real time until it is stopped."""
         due_s = now_s()
         while not stop.is_set():
-            while now_s() < due_s:
-                for message, address in self.wire.receive(due_s - now_s()):
-                    self.wire.address = address
-                    self._take(message)
+            self._listen(due_s)
             self._move()
             self._tell(due_s)
             due_s += self.plant.dt_s
@@ -78,6 +75,24 @@ class Peer:
             if behind_s > BEHIND_S:
                 due_s, self.left_out_s = now_s(), self.left_out_s + behind_s
         self.wire.close()
+
+    def _listen(self, until_s: float) -> None:
+        """Takes what has come, and what comes until then."""
+        while True:
+            for message, address in self.wire.receive(until_s - now_s()):
+                self.wire.address = address
+                self._take(message)
+            if now_s() >= until_s:
+                return
+
+    def __str__(self) -> str:
+        """What it was told, and how it went on."""
+        told = f"{len(self.arrivals)} set-points; {self.failsafes} times without any for a second"
+        behind = f"{self.left_out_s:.2f} s behind real time"
+        if self.arrivals and np.isfinite(self.offboard_s):
+            after_ms = 1e3 * (self.arrivals[-1] - self.sent_odometry_s)
+            told += f"; the last one {after_ms:.0f} ms after the last odometry"
+        return f"{told}; {behind}"
 
     def _move(self) -> None:
         if self.mode == OFFBOARD and now_s() - self._last_s > MODE_LOST_S:
@@ -202,7 +217,10 @@ class Simulated(Command):
         with logged(self.folder / "peer.log"):
             peer = self.peer(behaviour)
             print(f"a simulated vehicle speaks to {self.config['connection']}", flush=True)
-            peer.run(threading.Event())
+            try:
+                peer.run(threading.Event())
+            finally:  # Ctrl-C is how it ends
+                print(peer, flush=True)
 
     def peer(self, behaviour: PeerSettings) -> Peer:
         """A peer where the scene starts."""
