@@ -13,6 +13,8 @@ STIFFNESS, DAMPING = 1.5, 2.0
 """Of the hold: 1/s^2 and 1/s."""
 PUSH_MPS2 = 3.0
 """Its greatest horizontal acceleration."""
+REHEARSED = 10
+"""Steps before real time begins."""
 TILT_GAIN, RATE_RADPS = 6.0, 2.0
 
 
@@ -29,6 +31,10 @@ class Plant:
         self.vehicle = env.stages.context.vehicle
         self.dt_s = env.stages.context.dt_s
         self.generator = torch.Generator().manual_seed(0)
+        begun = self.world
+        for _ in range(REHEARSED):  # first times are slow, and real time does not wait
+            self.step(*self.holding(self.state().position_w))
+        self.world = begun
 
     def state(self, stamp_s: float = 0.0) -> Odometry:
         """Where it is and how it moves."""
