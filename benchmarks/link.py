@@ -32,9 +32,9 @@ def main() -> None:
             folder = Path(text)
             peer = run("peer", folder)
             fly = run("fly", folder, "arm=true", "link.wait_s=60")
-            told = fly.communicate()[0]
+            told = fly.communicate(timeout=300)[0]
             peer.send_signal(signal.SIGTERM)
-            peer.wait()
+            peer.wait(timeout=30)
             summary = folder / "fly" / "summary.json"
             if not summary.exists():
                 sys.exit(told)
