@@ -21,8 +21,6 @@ SURFACE_M = 0.1
 OBSTACLE, ROTOR, FRONT, NEXT, PASSED, GROUND = (
     "#4a5768", "#20262e", "#d7263d", "#f2a900", "#9aa5b1", "#f4f6f9",
 )  # fmt: skip
-MEASURED, ESTIMATED = "#8a94a3", "#1f6fb2"
-"""What motion capture read, and what an estimator made of it."""
 INFLATED_M, FAR_M = 0.3, 1.5
 """The map is tinted up to the first distance, and as light as it gets from the second on."""
 

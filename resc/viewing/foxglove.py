@@ -28,7 +28,6 @@ from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
 from resc.viewing import layouts
 from resc.viewing.appearance import (
-    MEASURED,
     OBSTACLE,
     ROTOR,
     TRAIL_STEPS,
@@ -45,6 +44,7 @@ from resc.viewing.appearance import (
     shades,
     top_of_obstacles,
 )
+from resc.viewing.colours import MEASURED
 from resc.viewing.episode_scene import CONFIG, EpisodeScene, load_scene
 from resc.viewing.foxglove_messages import (
     LINE_KINDS,
@@ -126,7 +126,7 @@ def _write(scene: EpisodeScene, file: IO[bytes]) -> None:
     writer.add_metadata("resc.run", scene.run)
     writer.add_metadata("resc.episode", scene.facts)
     seen = [topic.removeprefix("/observation/") for topic in _observation_types(scene)]
-    names = (scene.reward_names, seen)
+    names = (scene.reward_names, seen, [*_tracks(scene)])
     documents = {
         CONFIG: scene.config,
         "foxglove_layout.json": layouts.foxglove(*names).encode(),
@@ -144,9 +144,7 @@ def _write(scene: EpisodeScene, file: IO[bytes]) -> None:
 def _channels(writer: Writer, scene: EpisodeScene, numbers: dict[str, Numbers]) -> dict[str, int]:
     """Channel number of each topic."""
     types: dict[str, Any] = {**SDK_TYPES, **_observation_types(scene)}
-    types |= {
-        topic: kind for topic, (key, kind) in ESTIMATES.items() if scene.path(key) is not None
-    }
+    types |= _tracks(scene)
     schemas: dict[str, tuple[str, bytes]] = {}
     for topic, kind in types.items():
         schema = kind.get_schema()
@@ -162,6 +160,11 @@ def _channels(writer: Writer, scene: EpisodeScene, numbers: dict[str, Numbers]) 
         topic: writer.register_channel(topic, "protobuf", known[name])
         for topic, (name, _) in schemas.items()
     }
+
+
+def _tracks(scene: EpisodeScene) -> dict[str, Any]:
+    """Message type of each track beside the true one, of those that are recorded."""
+    return {topic: kind for topic, (key, kind) in ESTIMATES.items() if scene.path(key) is not None}
 
 
 def _observation_types(scene: EpisodeScene) -> dict[str, Any]:

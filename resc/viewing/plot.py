@@ -33,6 +33,12 @@ from resc.viewing.colours import (
     SPEED,
     TEXT,
 )
+from resc.viewing.estimate_picture import (
+    draw_estimate,
+    draw_position_errors,
+    draw_tracks,
+    is_estimated,
+)
 
 _COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 """Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""
@@ -113,8 +119,16 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
         figure = Figure(figsize=(13, 8.5), layout="constrained")
         grid = figure.add_gridspec(10, 2, width_ratios=(1, 1))
         scene, inflation = log.scene(episode), inflation_m(log, episode)
-        _draw_map(figure, figure.add_subplot(grid[:7, 0]), scene, steps, inflation)
-        _draw_rewards(figure.add_subplot(grid[7:, 0]), time, log, steps)
+        estimated = is_estimated(steps)
+        above, below = (6, 8) if estimated else (7, 7)
+        _draw_map(figure, figure.add_subplot(grid[:above, 0]), scene, steps, inflation)
+        _draw_rewards(figure.add_subplot(grid[below:, 0]), time, log, steps)
+        if estimated:
+            axes = figure.add_subplot(grid[above:below, 0])
+            draw_position_errors(axes, time, steps)
+            axes.legend(fontsize="small", **_BESIDE)
+            axes.tick_params(labelbottom=False)
+            _quiet(axes)
         right = [figure.add_subplot(grid[2 * i : 2 * i + 2, 1]) for i in range(5)]
         _draw_velocity(right[0], time, steps)
         _draw_attitude(right[1], time, steps)
@@ -156,7 +170,7 @@ def _draw_map(
 ) -> None:
     position = _tensor(steps, keys.POSITION_W)[:, :2].numpy()
     speed = _tensor(steps, keys.VELOCITY_W).norm(dim=-1).numpy()
-    _draw_obstacles(axes, scene, inflation)
+    around = _draw_obstacles(axes, scene, inflation)
     route = scene["route_w"][: int(scene["route_length"]), :2].numpy()
     planned = np.concatenate((scene["start_w"][None, :2].numpy(), route))
     axes.plot(*planned.T, color=PLAN, linewidth=1.0, linestyle=DASHES, zorder=2)
@@ -165,11 +179,16 @@ def _draw_map(
     axes.scatter(*planned[0], s=44, marker="o", **white)
     axes.scatter(*route[-1], s=130, marker="*", **white)
     norm = Normalize(0, max(float(speed.max()), 1.0))
+    width = 6.0 if is_estimated(steps) else 2.0  # seen on both sides of the estimated track
     lines = LineCollection(
-        list(np.stack((position[:-1], position[1:]), 1)), cmap=SPEED, norm=norm, linewidths=2.0
+        list(np.stack((position[:-1], position[1:]), 1)), cmap=SPEED, norm=norm, linewidths=width
     )
     lines.set(array=speed[1:], zorder=3, capstyle="round")
     axes.add_collection(lines)
+    draw_tracks(axes, steps)
+    named = [*around, *axes.get_legend_handles_labels()[0]]
+    if named:
+        axes.legend(handles=named, loc="upper left", fontsize="small", framealpha=0.8)
     mark = {"edgecolors": "white", "linewidths": 0.8, "zorder": 6}
     axes.scatter(*position[-1], s=50, marker="D", c=COLLISION, **mark)
     shown = np.concatenate((position, planned))
@@ -183,11 +202,12 @@ def _draw_map(
     _quiet(axes)
 
 
-def _draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -> None:
-    """Columns, and around them where a flight ends as a collision."""
+def _draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -> list[Patch]:
+    """Columns, and around them where a flight ends as a collision; returns what a legend needs."""
     boxes = [((x, y), dx, dy) for x, y, dx, dy in scene["boxes_w"].tolist() if dx > 0 and dy > 0]
     pillars = scene["pillars_w"].tolist() if "pillars_w" in scene else []  # not in older recordings
     pillars = [((x, y), radius) for x, y, radius in pillars if radius > 0]
+    named: list[Patch] = []
     if inflation > 0 and (boxes or pillars):
         style = f"round,pad={inflation},rounding_size={inflation}"
         flat = {"facecolor": _INFLATED, "edgecolor": "none"}
@@ -196,10 +216,10 @@ def _draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -
         for centre, radius in pillars:
             axes.add_patch(Circle(centre, radius + inflation, **flat))
         label = f"collision: within {inflation:g} m of an obstacle"
-        patch = Patch(facecolor=_INFLATED, label=label)
-        axes.legend(handles=[patch], loc="upper left", fontsize="small", framealpha=0.8)
+        named.append(Patch(facecolor=_INFLATED, label=label))
     shapes = [*(Rectangle(*box) for box in boxes), *(Circle(*pillar) for pillar in pillars)]
     axes.add_collection(PatchCollection(shapes, facecolor=OBSTACLE, edgecolor="none", zorder=1.5))
+    return named
 
 
 def _draw_rates(
@@ -263,6 +283,8 @@ def _draw_velocity(axes: Axes, time: Float[np.ndarray, " t"], steps: TensorDict)
     velocity = _tensor(steps, keys.VELOCITY_W)
     axes.plot(time, velocity.norm(dim=-1), color=TEXT, linewidth=0.9, label="speed")
     _draw_triple(axes, time, velocity.numpy(), "xyz")
+    if is_estimated(steps):
+        draw_estimate(axes, time, _tensor(steps, keys.ESTIMATED_VELOCITY_W))
     _dress(axes, "velocity [m/s]", _end(time))
 
 

@@ -15,9 +15,7 @@ from resc.run_folder import replacing
 from resc.sights import Shape
 from resc.viewing import layouts
 from resc.viewing.appearance import (
-    ESTIMATED,
     FRONT,
-    MEASURED,
     NEXT,
     OBSTACLE,
     TRAIL_STEPS,
@@ -30,6 +28,7 @@ from resc.viewing.appearance import (
     shades,
     top_of_obstacles,
 )
+from resc.viewing.colours import ESTIMATED, MEASURED
 from resc.viewing.episode_scene import EpisodeScene, load_scene
 from resc.viewing.scalars import Numbers
 from resc.viewing.sight import colour_of
@@ -37,6 +36,8 @@ from resc.viewing.sight import colour_of
 APPLICATION = "resc"
 LINE_M, RAY_M, DOT_M, TRAIL_M = 0.006, 0.004, 0.035, 0.015
 """Radii [m]."""
+TRACK, FRAME = -1.2, -2.0
+"""Radii on the screen, which Rerun takes negative: tracks millimetres apart stay so from near."""
 EYE = np.array((0.0, -0.5, 1.35))
 """Where the camera is, from the middle of the route, in lengths of it."""
 SCENE = ("/world/**", "/map/**", "/plan/**", "/drone/**", "/observation/**")
@@ -131,10 +132,10 @@ def _send_estimate(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     """The frames of motion capture and the estimated path, whole from the beginning."""
     frames, guess = scene.path(keys.MOCAP_POSITION_W), scene.path(keys.ESTIMATED_POSITION_W)
     if frames is not None:
-        points = rr.Points3D(frames.numpy(), colors=[rgba(MEASURED)], radii=[LINE_M])
+        points = rr.Points3D(frames.numpy(), colors=[rgba(MEASURED)], radii=[FRAME])
         stream.log("/drone/measured", points, static=True)
     if guess is not None:
-        path = rr.LineStrips3D([guess.numpy()], colors=[rgba(ESTIMATED)], radii=[LINE_M])
+        path = rr.LineStrips3D([guess.numpy()], colors=[rgba(ESTIMATED)], radii=[TRACK])
         stream.log("/drone/estimate", path, static=True)
 
 
@@ -189,8 +190,10 @@ def _send_vehicle(stream: rr.RecordingStream, scene: EpisodeScene, times: rr.Tim
     steps = [*range(1, len(scene), TRAIL_STEPS), len(scene) - 1]
     strips = [position[: step + 1] for step in steps]
     count = len(steps)
+    alone = scene.path(keys.ESTIMATED_POSITION_W) is None
+    radius = TRAIL_M if alone else TRACK
     trail = rr.LineStrips3D.columns(
-        strips=strips, colors=[rgba(FRONT)] * count, radii=[TRAIL_M] * count
+        strips=strips, colors=[rgba(FRONT)] * count, radii=[radius] * count
     )
     stream.send_columns("/plan/flown", [_seconds(scene, steps)], trail)
 
@@ -249,11 +252,12 @@ def _blueprint(scene: EpisodeScene) -> rrb.Blueprint:
     low, high = plan.min(0), plan.max(0)
     middle, length = (low + high) / 2, float(np.linalg.norm(high - low))
     eye = rrb.EyeControls3D(position=middle + length * EYE, look_target=middle)
+    tracks = () if scene.path(keys.ESTIMATED_POSITION_W) is None else ("/drone/estimate",)
     plots = [
         rrb.TimeSeriesView(
             name=title, origin="/", contents=[curve.path.replace(".", "/") for curve in curves]
         )
-        for title, curves in layouts.curves(scene.reward_names).items()
+        for title, curves in layouts.curves(scene.reward_names, tracks).items()
     ]
     return rrb.Blueprint(
         rrb.Horizontal(

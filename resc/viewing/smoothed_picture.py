@@ -14,9 +14,8 @@ from torch import Tensor
 from resc import keys
 from resc.recording.columns import require_columns
 from resc.recording.smoothed import Smoothed
-from resc.viewing.colours import FRAME, TEXT
+from resc.viewing.colours import ESTIMATED, FRAME, MEASURED, SMOOTHED, TEXT
 
-MEASURED, FILTERED, SMOOTHED = "#8a94a3", "#d7263d", "#1f5fa8"
 CUT = 5.0
 """Frames farther off than so many times what most are off are drawn at the edge."""
 
@@ -47,7 +46,7 @@ def draw_smoothed(steps: TensorDictBase, track: Smoothed, dt_s: float, path: Pat
         left.set_ylabel(f"{name}: error [mm]")
         right.plot(time, moving[:, axis], color=TEXT, linewidth=2.5, alpha=0.4, label="true")
         for part, colour, label in (
-            (track.filtered, FILTERED, "filtered"),
+            (track.filtered, ESTIMATED, "filtered"),
             (track.smoothed, SMOOTHED, "smoothed"),
         ):
             right.plot(time, part[known, 3 + axis], color=colour, linewidth=1, label=label)
@@ -71,6 +70,6 @@ def _draw_errors(
     off = [np.nanquantile(np.abs(part), 0.9) for part in errors]
     edge = CUT * max(0.1, *off)
     axes.plot(time, measured.clip(-edge, edge), ".", color=MEASURED, markersize=3, label="measured")
-    axes.plot(time, filtered, color=FILTERED, linewidth=1, label="filtered")
+    axes.plot(time, filtered, color=ESTIMATED, linewidth=1, label="filtered")
     axes.plot(time, smoothed, color=SMOOTHED, linewidth=1, label="smoothed")
     axes.set_ylim(-1.05 * edge, 1.05 * edge)

@@ -5,6 +5,8 @@ import hashlib
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
+from mcap.reader import make_reader
 from omegaconf import OmegaConf
 
 from resc import keys
@@ -17,8 +19,11 @@ from resc.recording.reader import RolloutLog
 from resc.recording.rollouts import RecordedRun
 from resc.recording.smoothed import smooth
 from resc.setup import set_up
+from resc.viewing.colours import ESTIMATED, MEASURED
 from resc.viewing.episode_scene import load_scene
+from resc.viewing.estimate_picture import draw_tracks, is_estimated
 from resc.viewing.foxglove import write_scene
+from resc.viewing.plot import draw_episode
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +96,41 @@ def test_readings_and_estimate_are_recorded_and_drawn(recording, tmp_path):
         assert topic in topics
     without = write_scene(RolloutLog(recording / "none"), 0, tmp_path / "none.mcap").read_bytes()
     assert b"/drone/estimate" not in without
+
+
+def documents(path):
+    with path.open("rb") as file:
+        return {each.name: each.data.decode() for each in make_reader(file).iter_attachments()}
+
+
+def test_the_layouts_show_the_measured_and_the_estimated_track(recording, tmp_path):
+    for estimator, shown in (("ekf", True), ("none", False)):
+        path = write_scene(RolloutLog(recording / estimator), 0, tmp_path / f"{estimator}.mcap")
+        for name in ("foxglove_layout.json", "lichtblick_layout.json"):
+            layout = documents(path)[name]
+            for topic in ("/drone/measured", "/drone/estimate", "/estimate.position_error"):
+                assert (topic in layout) == shown
+            assert (ESTIMATED in layout) == shown
+
+
+def test_the_picture_of_an_episode_shows_both_tracks(recording):
+    steps = RolloutLog(recording / "ekf").episode(0)
+    axes = Figure().add_subplot()
+    draw_tracks(axes, steps)
+    points, line = axes.get_lines()
+    assert (points.get_color(), line.get_color()) == (MEASURED, ESTIMATED)
+    assert np.array_equal(line.get_xydata(), steps[keys.ESTIMATED_POSITION_W][:, :2].numpy())
+    without = RolloutLog(recording / "none").episode(0)
+    assert not is_estimated(without)
+    draw_tracks(axes, without)
+    assert len(axes.get_lines()) == 2
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "none"])
+def test_an_episode_is_drawn_with_and_without_an_estimate(recording, tmp_path, estimator):
+    picture = tmp_path / "episode.png"
+    draw_episode(RolloutLog(recording / estimator), 0, picture)
+    assert picture.stat().st_size > 10_000
 
 
 def test_a_flight_by_estimate_is_flown_again_bit_for_bit(recording):

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 import foxglove.layouts as panels
 
+from resc.viewing.colours import ESTIMATED, TRUE
+
 DEFAULT = (
     (
         *("progress", "time", "crash", "dynamics_limits", "field_of_view", "body_rate", "finish"),
@@ -22,6 +24,8 @@ CAMERA = {"distance": 7.0, "phi": 50.0, "thetaOffset": 45.0, "perspective": True
 """The camera looks down on the vehicle from this distance [m], and goes where it goes."""
 BACKGROUND = "#1c2128"
 PLAN, TRAIL = ("#ffffffff", "#ffffffff"), ("#f2a900ff", "#d7263dff")
+ESTIMATE, BESIDE_ESTIMATE = (ESTIMATED + "ff",) * 2, (TRUE + "66",) * 2
+"""The estimated track, and the true one around it, through which it shows."""
 SHARES = (62, 38)
 """Width [%] of the 3-D view and of the curves."""
 
@@ -33,13 +37,24 @@ class Curve(NamedTuple):
     label: str
 
 
-def curves(reward_names: Sequence[str]) -> dict[str, list[Curve]]:
-    """The plots by title."""
+def curves(reward_names: Sequence[str], tracks: Sequence[str] = ()) -> dict[str, list[Curve]]:
+    """The plots by title.
+
+    Args:
+        reward_names: The reward terms.
+        tracks: Topics of the tracks beside the true one.
+    """
     rates = [
         Curve(f"/{topic}.body_rate.{axis}", f"{axis} {label}")
         for axis in "xyz"
         for topic, label in (("command", "commanded"), ("state", "true"))
     ]
+    errors = {
+        "Errors of the estimate [m, m/s]": [
+            Curve("/estimate.position_error", "position"),
+            Curve("/estimate.velocity_error", "velocity"),
+        ]
+    }
     return {
         "Body rates [rad/s]": rates,
         "Speed [m/s], thrust [N]": [
@@ -47,41 +62,50 @@ def curves(reward_names: Sequence[str]) -> dict[str, list[Curve]]:
             Curve("/command.collective_thrust", "commanded thrust"),
         ],
         "Reward terms": [Curve(f"/reward.terms.{name}", name) for name in reward_names],
+        **(errors if "/drone/estimate" in tracks else {}),
     }
 
 
-def topics(observations: Sequence[str]) -> dict[str, dict[str, Any]]:
+def topics(observations: Sequence[str], tracks: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
     """How the 3-D view shows each topic; points that repeat a shape are hidden."""
     hidden = ("/drone/points", "/world/obstacle_points", "/map/esdf_points", "/drone/pose")
     shown = ("/drone/body", "/world/obstacles", "/plan/columns")
     line = {"visible": True, "type": "line"}
     seen = [f"/observation/{name}" for name in observations]
     points = {"visible": True, "pointSize": 9.0, "colorMode": "rgba-fields"}
+    beside = {
+        "/drone/measured": {**points, "pointSize": 4.0},
+        "/drone/estimate": {**line, "lineWidth": 0.015, "gradient": list(ESTIMATE)},
+    }
+    trail = BESIDE_ESTIMATE if "/drone/estimate" in tracks else TRAIL
     return {
         **{topic: {"visible": False} for topic in hidden},
         **{topic: {"visible": True} for topic in shown},
         "/map/esdf_slice": {"visible": True, "colorMode": "rgba-fields"},
         "/plan/path": {**line, "lineWidth": 0.02, "gradient": list(PLAN)},
-        "/drone/trail": {**line, "lineWidth": 0.04, "gradient": list(TRAIL)},
+        "/drone/trail": {**line, "lineWidth": 0.04, "gradient": list(trail)},
         "/plan/control_points": points,
         **{topic: points if topic.endswith("_points") else {"visible": True} for topic in seen},
+        **{topic: beside[topic] for topic in tracks},
     }
 
 
-def view(observations: Sequence[str]) -> dict[str, Any]:
+def view(observations: Sequence[str], tracks: Sequence[str] = ()) -> dict[str, Any]:
     """Settings of the 3-D view, the same in both programs."""
     return {
         "cameraState": CAMERA,
         "followMode": "follow-position",
         "followTf": "drone",
         "scene": {"backgroundColor": BACKGROUND, "transforms": {"visible": False}},
-        "topics": topics(observations),
+        "topics": topics(observations, tracks),
     }
 
 
-def foxglove(reward_names: Sequence[str], observations: Sequence[str]) -> str:
+def foxglove(
+    reward_names: Sequence[str], observations: Sequence[str], tracks: Sequence[str] = ()
+) -> str:
     """The layout as Foxglove's JSON."""
-    config = view(observations)
+    config = view(observations, tracks)
     scene = panels.Panel(panel_type="ThreeDee", config=config, title="Flight", version=1)
     plots: list[panels.BasePanel] = [
         panels.PlotPanel(
@@ -92,7 +116,7 @@ def foxglove(reward_names: Sequence[str], observations: Sequence[str]) -> str:
                 is_synced=True,
             ),
         )
-        for title, lines in curves(reward_names).items()
+        for title, lines in curves(reward_names, tracks).items()
     ]
     log = panels.LogPanel(config=panels.LogConfig(topic_to_render="/log"))
     column = panels.SplitContainer(
@@ -105,10 +129,12 @@ def foxglove(reward_names: Sequence[str], observations: Sequence[str]) -> str:
     return panels.Layout(content=panels.SplitContainer(direction="row", items=items)).to_json()
 
 
-def lichtblick(reward_names: Sequence[str], observations: Sequence[str]) -> str:
+def lichtblick(
+    reward_names: Sequence[str], observations: Sequence[str], tracks: Sequence[str] = ()
+) -> str:
     """The layout as Lichtblick's JSON."""
-    configs: dict[str, Any] = {"3D!flight": view(observations)}
-    for number, (title, lines) in enumerate(curves(reward_names).items()):
+    configs: dict[str, Any] = {"3D!flight": view(observations, tracks)}
+    for number, (title, lines) in enumerate(curves(reward_names, tracks).items()):
         configs[f"Plot!{number}"] = {
             "lichtblickPanelTitle": title,
             "paths": [
