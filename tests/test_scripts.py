@@ -94,6 +94,21 @@ def test_two_files_that_define_one_term_are_named(call_script, capsys, tmp_path)
     assert "error: reward.time is defined by reward/time and reward/mine; keep one" in told
 
 
+def test_a_list_of_sensors_counts_for_the_estimator_too(call_script, capsys):
+    listed = "sensor=[euler,clearance,limit_violations,surface_clearance,mocap]"
+    with pytest.raises(SystemExit, match="1"):
+        call_script(train, "estimator=kf_imu", listed, "hydra.run.dir=run")
+    told = capsys.readouterr().err
+    assert "error: estimator reads sensor.imu_specific_force_b, which nothing before it" in told
+
+
+@pytest.mark.parametrize("override", ["simulator=mujoco", "simulator.substeps=4"])
+def test_a_simulator_in_training_is_told_from_the_dynamics(refusal, override):
+    told = refusal(override)
+    assert "is not a setting of train: another simulator flies what is trained" in told
+    assert "evaluate.py simulator=...; here dynamics=..." in told
+
+
 @pytest.mark.slow
 def test_wrong_override_of_evaluation_names_the_nearest_setting(tmp_path):
     done = start("evaluate.py", "flight=2", f"hydra.run.dir={tmp_path}")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from resc.errors import RecordingError
 from resc.recording.segment import ACTIVE, PATTERN
+from resc.sweep_folder import is_sweep
 
 FOLDER = "rollouts"
 """Where a run keeps its recordings."""
@@ -22,12 +23,26 @@ def recordings_at(location: str | Path) -> list[Path]:
     matches = [path] if path.exists() else map(Path, glob(str(location), recursive=True))
     # runs/latest is another name of a run: the same file is not read twice.
     found = {realpath(file): file for match in matches for file in _recordings_in(match)}
+    if not found and is_sweep(path):
+        raise RecordingError(_of_sweep(path))
     if not found:
         raise RecordingError(
             f"No recording at {location}; give an .mcap file, a folder that holds {PATTERN} or a "
             f"run's folder '{FOLDER}', or a pattern."
         )
     return sorted(found.values())
+
+
+def _of_sweep(sweep: Path) -> str:
+    """What a folder that holds runs instead of a recording is, and what to give in its place."""
+    runs = [run for run in sweep.iterdir() if run.is_dir() and any(_recordings_in(run))]
+    if not runs:
+        return f"{sweep} is the folder of a sweep, none of whose runs holds a recording yet."
+    first = min(runs, key=lambda run: (len(run.name), run.name))  # 2 before 10
+    return (
+        f"{sweep} is the folder of a sweep, of which {len(runs)} runs hold recordings; give one of "
+        f"them, such as {first}."
+    )
 
 
 def _recordings_in(path: Path) -> Iterator[Path]:

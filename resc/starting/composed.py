@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from hydra import compose
 from hydra.core.global_hydra import GlobalHydra
@@ -34,23 +34,36 @@ def sources_of_run() -> list[ConfigSource]:
     ]
 
 
-def files_of_lists(groups: Collection[str]) -> Iterator[tuple[str, str, DictConfig]]:
-    """The files that the run takes of some groups: path, group and content of each."""
+class File(NamedTuple):
+    """A file of the configuration: its path, group and content, and the file that lists it."""
+
+    path: str
+    group: str
+    content: DictConfig
+    listed_by: str
+
+
+def files_of_lists(groups: Collection[str]) -> Iterator[File]:
+    """The files that the run takes of some groups."""
     hydra = HydraConfig.get()
     overrides = [*hydra.overrides.hydra, *hydra.overrides.task]
     loader = GlobalHydra.instance().config_loader()
     listed = loader.compute_defaults_list(hydra.job.config_name, overrides, RunMode.RUN)
     sources = sources_of_run()
-    for path, package in ((d.config_path, d.package) for d in listed.defaults):
+    every = ((d.config_path, d.package, d.parent or "") for d in listed.defaults)
+    for path, package, parent in every:
         source = next((s for s in sources if path and s.is_config(path)), None)
         if path and package in groups and source:
-            yield path, package, cast(DictConfig, source.load_config(path).config)
+            content = cast(DictConfig, source.load_config(path).config)
+            yield File(path, package, content, parent)
 
 
 def suites() -> dict[str, list[str]]:
     """The suites that the run takes, and the scenes that the file of each names."""
     found = files_of_lists(("suite",))
-    return {path.rpartition("/")[2]: [str(name) for name in content] for path, _, content in found}
+    return {
+        path.rpartition("/")[2]: [str(name) for name in content] for path, _, content, _ in found
+    }
 
 
 def files_of(group: str) -> dict[str, DictConfig]:

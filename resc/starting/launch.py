@@ -26,7 +26,7 @@ from resc.errors import ConfigError, ExitCode, RescError, UnfinishedError, neare
 from resc.groups import names
 from resc.places import CONF
 from resc.run_folder import CONFIG, LATEST, ORIGIN, claimed, latest, sweep_of
-from resc.starting.composed import files_of_lists
+from resc.starting.composed import File, files_of_lists
 from resc.starting.origin import (
     CHANGEABLE,
     MULTIRUN,
@@ -274,17 +274,26 @@ def refuse_doubles() -> None:
     Raises:
         ConfigError: The term and the files that define it.
     """
-    defined: dict[str, str] = {}
-    for path, package, content in files_of_lists(LISTS):
-        for name, node in content.items():
+    defined: dict[str, File] = {}
+    for file in files_of_lists(LISTS):
+        for name, node in file.content.items():
             if not isinstance(node, DictConfig) or "_target_" not in node:
                 continue
-            term = f"{package}.{name}"
-            if term in defined:
-                both = dict.fromkeys((defined[term], path))
-                source = " and ".join(both) if len(both) > 1 else f"{path}, listed twice"
+            term = f"{file.group}.{name}"
+            if term in defined and not _for_both(defined[term], file):
+                both = dict.fromkeys((defined[term].path, file.path))
+                source = " and ".join(both) if len(both) > 1 else f"{file.path}, listed twice"
                 raise ConfigError(f"{term} is defined by {source}; keep one, or rename the other.")
-            defined[term] = path
+            defined[term] = file
+
+
+def _for_both(one: File, other: File) -> bool:
+    """Whether a list that was given is that of the run and that of an estimator's sensors.
+
+    Hydra puts it in the place of both.
+    """
+    brought = {file.listed_by.startswith("estimator/") for file in (one, other)}
+    return one.path == other.path and brought == {True, False}
 
 
 def refused(error: Exception, config_name: str, arguments: Sequence[str]) -> ConfigError:
@@ -321,6 +330,11 @@ def _explain_override(path: str, config_name: str, choices: Sequence[str]) -> st
         except HydraException:  # choices of several runs, or from elsewhere
             node = compose(config_name)
     parts = path.replace("/", ".").split(".")
+    if parts[0] == "simulator" and "simulator" not in node:
+        return (
+            f"{path} is not a setting of {config_name}: another simulator flies what is trained, "
+            "with evaluate.py simulator=...; here dynamics=... chooses the equations of motion."
+        )
     found: list[str] = []
     while (
         len(found) < len(parts) - 1 and isinstance(node, DictConfig) and parts[len(found)] in node

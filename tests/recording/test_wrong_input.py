@@ -7,7 +7,9 @@ import pytest
 from small_run import record
 from test_damage import DAMAGE
 
+from resc.errors import RecordingError
 from resc.log_command import main
+from resc.recording.location import recordings_at
 
 LOOKING = (("info",), ("episodes", "--where", "length > 3"), ("check",))
 WRITING = (("recover",), ("merge",), ("parquet",))
@@ -126,3 +128,17 @@ def test_any_condition_is_applied_or_answered_in_a_sentence(condition, answer):
 )
 def test_wrong_arguments_and_outputs_are_answered(arguments, code, answer):
     assert answer(*arguments)[0] == code
+
+
+def test_the_folder_of_a_sweep_is_named_as_one_with_a_run_to_give(tmp_path):
+    (tmp_path / "origin.json").write_text("{}")
+    with pytest.raises(RecordingError, match="sweep, none of whose runs holds a recording yet"):
+        recordings_at(tmp_path)
+    for name in ("10", "2"):
+        record(tmp_path / name / "rollouts")
+    with pytest.raises(RecordingError) as caught:
+        recordings_at(tmp_path)
+    assert str(caught.value) == (
+        f"{tmp_path} is the folder of a sweep, of which 2 runs hold recordings; give one of them, "
+        f"such as {tmp_path / '2'}."
+    )
