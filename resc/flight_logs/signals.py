@@ -40,19 +40,24 @@ def _is_armed_state(values: Float[np.ndarray, "t 1"]) -> Float[np.ndarray, "t 1"
 class Candidate:
     """One topic that may tell a quantity, and how its fields become ours.
 
-    `valid` are flags of which all must be set in a message for it to count.
+    `valid` are flags of which all must be set in a message for it to count; `frame` is the field
+    that says in which frame it is, which must be NED.
     """
 
     topic: str
     fields: tuple[str, ...]
     convert: Convert = _same
     valid: tuple[str, ...] = ()
+    frame: str | None = None
 
 
 _XYZ, _Q = indexed("xyz", 3), indexed("q", 4)
 _GYRO, _ACCELERATION = indexed("gyro_rad", 3), indexed("accelerometer_m_s2", 3)
 _THRUST = ("thrust_body[2]",)
 _HERE, _SPEED = ("x", "y", "z"), ("vx", "vy", "vz")
+_NED = 1
+"""POSE_FRAME_NED and VELOCITY_FRAME_NED of vehicle_odometry; others have any heading, or turn."""
+_MOVED, _MOVING = indexed("position", 3), indexed("velocity", 3)
 _POSITION_FLAGS, _VELOCITY_FLAGS = ("xy_valid", "z_valid"), ("v_xy_valid", "v_z_valid")
 
 TABLE: Mapping[str, tuple[Candidate, ...]] = {
@@ -73,11 +78,13 @@ TABLE: Mapping[str, tuple[Candidate, ...]] = {
     POSITION: (
         Candidate("vehicle_local_position", _HERE, enu_from_ned, _POSITION_FLAGS),
         Candidate("estimator_local_position", _HERE, enu_from_ned, _POSITION_FLAGS),
+        Candidate("vehicle_odometry", _MOVED, enu_from_ned, frame="pose_frame"),
         Candidate("vehicle_local_position_groundtruth", _HERE, enu_from_ned),
     ),
     VELOCITY: (
         Candidate("vehicle_local_position", _SPEED, enu_from_ned, _VELOCITY_FLAGS),
         Candidate("estimator_local_position", _SPEED, enu_from_ned, _VELOCITY_FLAGS),
+        Candidate("vehicle_odometry", _MOVING, enu_from_ned, frame="velocity_frame"),
         Candidate("vehicle_local_position_groundtruth", _SPEED, enu_from_ned),
     ),
     RATE_COMMAND: (
@@ -168,13 +175,16 @@ def _told(log: Ulog, candidate: Candidate) -> tuple[Signal | None, str]:
     topic = _instance(log, candidate)
     if topic is None:
         return None, f"no {candidate.topic}"
-    missing = [name for name in candidate.fields if name not in topic.fields]
+    needed = (*candidate.fields, *([candidate.frame] if candidate.frame else []))
+    missing = [name for name in needed if name not in topic.fields]
     if missing:
         return None, f"no {missing[0]} in {candidate.topic}"
     flags = [name for name in candidate.valid if name in topic.fields]
     valid = np.all([topic.fields[name] != 0 for name in flags], 0) if flags else True
     if not np.any(valid):
         return None, f"{topic} is never valid ({' and '.join(flags)})"
+    if candidate.frame and np.any(topic.fields[candidate.frame] != _NED):
+        return None, f"{topic} is not in NED ({candidate.frame})"
     values = candidate.convert(topic.columns(candidate.fields))
     return Signal(topic.time_s, values, str(topic)), ""
 

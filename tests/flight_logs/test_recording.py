@@ -94,6 +94,46 @@ def test_a_position_that_is_never_valid_is_not_recorded(converted):
     assert keys.VELOCITY_W in [column.key for column in log.columns]
 
 
+def by_odometry(frame=1):
+    """A flight whose position is told by vehicle_odometry alone."""
+    topics = flight()
+    local = topics.pop(("vehicle_local_position", 0))
+    count = len(local["time_s"])
+    topics["vehicle_odometry", 0] = {
+        "time_s": local["time_s"],
+        "pose_frame": np.full(count, frame, np.uint8),
+        "position": np.stack([local[name] for name in ("x", "y", "z")], 1),
+        "velocity_frame": np.full(count, frame, np.uint8),
+        "velocity": np.stack([local[name] for name in ("vx", "vy", "vz")], 1),
+    }
+    return topics
+
+
+def test_odometry_tells_the_position_where_nothing_else_does(converted):
+    log, out = converted(by_odometry())
+    assert "position         vehicle_odometry" in out
+    steps = log.episode(0)
+    expected = converted(flight())[0].episode(0)
+    for key in (keys.POSITION_W, keys.VELOCITY_W):
+        torch.testing.assert_close(steps[key], expected[key])
+
+
+def test_odometry_of_another_frame_is_not_recorded(converted):
+    log, out = converted(by_odometry(frame=2))
+    assert "vehicle_odometry is not in NED (pose_frame)" in out
+    assert "vehicle_odometry is not in NED (velocity_frame)" in out
+    assert keys.POSITION_W not in [column.key for column in log.columns]
+
+
+def test_of_several_instances_of_a_topic_the_first_is_read(converted):
+    topics = flight()
+    other = topics["vehicle_local_position", 0]
+    topics["vehicle_local_position", 1] = {**other, "x": other["x"] + 100}
+    position = converted(topics)[0].episode(0)[keys.POSITION_W]
+    expected = converted(flight())[0].episode(0)[keys.POSITION_W]
+    torch.testing.assert_close(position, expected)
+
+
 def test_a_log_that_was_never_armed_is_one_episode(converted):
     log, out = converted(flight(armed=()))
     assert log.episodes["outcome"].to_list() == ["never_armed"]
