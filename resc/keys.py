@@ -117,6 +117,32 @@ ACTION_DELAY = _declare(
     ("params", "action_delay"), (1,), "steps", "age of the action that is applied"
 )
 
+RATE_GAINS = _declare(
+    ("variation", "rate_gains"),
+    (3,),
+    "-",
+    "P, I and D of PX4's rate loop over those of the vehicle's file, where they are drawn",
+)
+ROTOR_TIME_CONSTANT = _declare(
+    ("variation", "rotor_time_constant"), (1,), "s", "of the rotors' lag, where it is drawn"
+)
+CENTRE_OF_MASS_B = _declare(
+    ("variation", "centre_of_mass_b"),
+    (2,),
+    "m",
+    "how far ahead and to the left of the point that rotor offsets count from, where it is drawn",
+)
+GYRO_BIAS_B = _declare(
+    ("variation", "gyro_bias_b"),
+    (3,),
+    "rad/s",
+    "what the rate loop's gyroscope reads at rest, where it is drawn",
+)
+GYRO_NOISE = _declare(("variation", "gyro_noise"), (1,), "rad/s", "standard deviation of its noise")
+GYRO_STREAM = _declare(
+    ("variation", "gyro_stream"), (3,), "-", "where the sequence of its noise stands", torch.int64
+)
+
 WIND_W = _declare(("air", "wind_w"), (3,), "m/s", "mean wind of the episode, where it is drawn")
 GUST_W = _declare(
     ("air", "gust_w"),

@@ -1,6 +1,6 @@
 """The protocol of every swappable part: keys in, tensors through `compute`, keys out."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, TypedDict, cast
 
@@ -74,6 +74,8 @@ class Term(TensorDictModuleBase):
     Uniform numbers in [0, 1) per environment reach `compute` as its last argument: `draws` of them
     for terms of the reset, `step_draws`, at every step and reset, for all others.
 
+    What a term `varies` with, it reads after everything else in episodes that have it drawn.
+
     A term that calls other code than torch says so, `compiles = False`, and flies uncompiled.
 
     A rate loop may run several times in a control step, as many `runs` as it says once it is bound;
@@ -85,6 +87,7 @@ class Term(TensorDictModuleBase):
 
     reads: tuple[NestedKey, ...] = ()
     writes: ClassVar[tuple[NestedKey, ...]] = ()
+    varies: tuple[NestedKey, ...] = ()
     initial: Mapping[NestedKey, float] = {}
     keeps: tuple[NestedKey, ...] = ()
     dims: Mapping[str, int] = {}
@@ -100,6 +103,15 @@ class Term(TensorDictModuleBase):
 
     def bind(self, context: Context) -> None:
         """Takes the constants of its surroundings, once, before the first `compute`."""
+
+    def vary(self, drawn: Collection[NestedKey]) -> None:
+        """Reads what it varies with and what is drawn for every episode, too."""
+        own = [key for key in self.reads if key not in self.varies]
+        self.reads = (*own, *(key for key in self.varies if key in drawn))
+
+    def further(self, values: Sequence[Tensor]) -> dict[NestedKey, Tensor]:
+        """By their keys, the last arguments of `compute`: what not every such term reads."""
+        return dict(zip(self.reads[len(self.reads) - len(values) :], values, strict=True))
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """What it keeps at the beginning of an episode, beside `initial`, from what is there."""
@@ -394,10 +406,14 @@ class Termination(Term):
 
 
 class Randomization(Term):
-    """Draws numbers at every reset: reads nominal values, if there are any, writes drawn ones."""
+    """Draws numbers at every reset: reads nominal values, if there are any, writes drawn ones.
+
+    Where nothing reads them, the run is refused; `readers` are the settings of one that does.
+    """
 
     group = "params"
     section = "randomization"
+    readers: ClassVar[str] = ""
 
 
 class Metric(Term):
@@ -455,6 +471,17 @@ class Curriculum(Term):
 def uniform_between(unit: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor:
     """Maps uniform numbers in [0, 1) to [low, high)."""
     return low + (high - low) * unit
+
+
+def least_and_greatest(name: str, ends: Sequence[float]) -> tuple[float, float]:
+    """The two ends of a range of positive numbers.
+
+    Raises:
+        ConfigError: They are not two, not above zero or not in order.
+    """
+    if len(ends) != 2 or not 0 < ends[0] <= ends[1]:
+        raise ConfigError(f"{name} is {list(ends)}; expected [least, greatest], both above zero.")
+    return float(ends[0]), float(ends[1])
 
 
 def as_column(values: float, like: Tensor) -> Tensor:

@@ -58,6 +58,8 @@ def cases(groups):
     ]
 
 
+DRAWN_BY = ["rate_loop=px4", "dynamics=in_wind"]
+"""Readers of everything that a randomisation may draw."""
 TERMS = cases([*SINGLES, *LISTS, "task"])
 
 
@@ -93,8 +95,8 @@ def every_list():
     chosen = {g: [n for n in found if not is_set(g, n)] for g, found in chosen.items()}
     chosen["sensor"].sort(key=lambda name: name != "euler")  # others read it
     lists = [f"{group}=[{','.join(found)}]" for group, found in chosen.items()]
-    # as the margins and the wind that are drawn want it
-    return [*lists, "scene.clearance_m=[0.3,0.5]", "dynamics=in_wind"]
+    # as the margins, the wind and the gains that are drawn want it
+    return [*lists, "scene.clearance_m=[0.3,0.5]", *DRAWN_BY]
 
 
 @pytest.fixture(scope="module")
@@ -244,7 +246,12 @@ FLYING = [
 ENVIRONMENTS = [
     pytest.param(every_list(), id="every part of every list"),
     *(pytest.param([f"{g}={n}"], id=f"{g}/{n}") for g in FLYING for n in names(g)),
-    *(pytest.param([f"{g}={n}"], id=f"{g}/{n}") for g in LISTS for n in names(g) if is_set(g, n)),
+    *(
+        pytest.param([f"{g}={n}", *(DRAWN_BY if g == "randomization" else [])], id=f"{g}/{n}")
+        for g in LISTS
+        for n in names(g)
+        if is_set(g, n)
+    ),
 ]
 
 

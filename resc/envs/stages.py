@@ -12,6 +12,7 @@ from resc.errors import ConfigError
 from resc.keys import DECLARED, NestedKey, previous
 from resc.math.repeat import repeated
 from resc.math.rotation import heading
+from resc.simulation import gyro
 from resc.term import (
     Action,
     Context,
@@ -118,6 +119,9 @@ class Stages(nn.Module):
             list(terms)
         )  # so that .to(device) reaches their buffers
         self.context = context
+        self.drawn = {key for term in terms.randomizations for key in term.outputs}
+        for term in terms:
+            term.vary(self.drawn)
         self._bind_terms(terms)
         for term in terms.observed:
             term.history = term.history or context.history
@@ -223,7 +227,7 @@ class Stages(nn.Module):
         for term in terms:
             for key, value in term.initial.items():
                 tensors[key] = zero.new_full((count, *_shape(key, term)), value)
-            tensors |= term.begin(tensors)
+            tensors |= term.begin(self._sensed(tensors) if term is terms.rate_loop else tensors)
         self._require_begun(tensors)
         self._measure_first(tensors, drawn)
         return self.begin(tensors, shared, drawn)
@@ -258,9 +262,9 @@ class Stages(nn.Module):
         """Keys of the world: what one step hands to the next."""
         state = [key for key in DECLARED if key[0] in ("state", "params")]
         task = [*self.terms.task.keeps, keys.FINISHED]
-        drawn = [key for term in self.terms.randomizations for key in term.outputs]
         kept = [key for term in self.terms for key in (*term.initial, *term.keeps)]
         eased = [keys.difficulty(name) for name in self.difficulties]
+        drawn = [key for term in self.terms.randomizations for key in term.outputs]
         every = [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *drawn, *kept, *eased]
         return list(dict.fromkeys(every))
 
@@ -277,14 +281,14 @@ class Stages(nn.Module):
         """Rate loop and dynamics, as often as the rate loop runs in a control step."""
         loop, dynamics = self.terms.rate_loop, self.terms.dynamics
         if loop.runs == 1:
-            _run(loop, tensors, drawn)
+            self._control(tensors, drawn)
             _run(dynamics, tensors, drawn)
             return
-        moved = tuple(dict.fromkeys((*loop.outputs, *dynamics.outputs)))
+        moved = tuple(dict.fromkeys((*loop.outputs, *dynamics.outputs, *self._noise)))
 
         def run(values: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
             now = tensors | dict(zip(moved, values, strict=True))
-            _run(loop, now, drawn)
+            self._control(now, drawn)
             _run(dynamics, now, drawn)
             return tuple(now[key].clone(memory_format=torch.contiguous_format) for key in moved)
 
@@ -293,6 +297,27 @@ class Stages(nn.Module):
         tensors |= zip(moved, repeated(run, tuple(start), loop.runs), strict=True)
         gained = tensors[keys.VELOCITY_W] - before
         tensors[keys.ACCELERATION_W] = gained / self.context.dt_s  # of the step, not of its parts
+
+    def _control(self, tensors: World, drawn: Mapping[str, Tensor]) -> None:
+        """A run of the rate loop, on the body rate that its gyroscope reads."""
+        loop = self.terms.rate_loop
+        seen = self._sensed(tensors)
+        _run(loop, seen, drawn)
+        if seen is not tensors:
+            tensors |= {key: seen[key] for key in (*loop.outputs, *self._noise)}
+
+    def _sensed(self, tensors: World) -> World:
+        """The tensors with the body rate as the gyroscope reads it, where its errors are drawn."""
+        if not self._noise:
+            return tensors
+        names = (keys.BODY_RATE_B, keys.GYRO_BIAS_B, keys.GYRO_NOISE, keys.GYRO_STREAM)
+        reading, stream = gyro.reading(*(tensors[key] for key in names))
+        return tensors | {keys.BODY_RATE_B: reading, keys.GYRO_STREAM: stream}
+
+    @property
+    def _noise(self) -> list[NestedKey]:
+        """What the gyroscope's noise moves on, where it is drawn."""
+        return [key for key in (keys.GYRO_STREAM,) if key in self.drawn]
 
     def _finish(self, tensors: World) -> None:
         """Combines the terminations into terminated, truncated, done and the outcome's number."""
@@ -366,13 +391,16 @@ class Stages(nn.Module):
 
     def _require_use(self) -> None:
         """What is drawn for an episode must change something."""
-        read = {key for term in self.terms for key in term.reads}
-        for term in self.terms.randomizations:
-            if not read & set(term.outputs):
-                raise ConfigError(
-                    f"{term.path} draws {'.'.join(term.outputs[0])}, which nothing reads, so it "
-                    "would change nothing; add what reads it, or leave it out."
-                )
+        read = {key for term in self.terms for key in term.reads} | set(self._noise)
+        idle = [term for term in self.terms.randomizations if not read & set(term.outputs)]
+        if not idle:
+            return
+        facts = " and ".join(f"{term.path} draws {'.'.join(term.outputs[0])}" for term in idle)
+        readers = dict.fromkeys(term.readers for term in idle if term.readers)
+        add = f"choose {' '.join(readers)}" if readers else "add what reads it"
+        raise ConfigError(
+            f"{facts}, which nothing reads, so it would change nothing; {add}, or leave it out."
+        )
 
     def _check_wiring(self) -> None:
         """Every key a term reads must be there before it runs, for observations at a reset too."""

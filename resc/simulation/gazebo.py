@@ -16,7 +16,7 @@ class Gazebo(Multirotor):
     A rotor's thrust goes with the square of its speed s, which follows its command with one time
     constant up and another down. At the airspeed v of a rotor, v_z along its axis and v_xy across,
     its lift is thrust * clamp(1 - |v_z| / v_0, 0, 1), its drag -c s v_xy, its rolling moment
-    -m s v_xy. The rotors stand at the height of the centre of mass. No wind. Source: px4.md 1.5.
+    -m s v_xy. The rotors stand at the height of the centre of mass. Source: px4.md 1.5.
 
     Args:
         up_s: Time constant of the speed when it rises.

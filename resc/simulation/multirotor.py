@@ -1,7 +1,7 @@
 """The rigid body in steps as small as a flight controller's, with rotors that lag, and air."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, NamedTuple
 
 import torch
@@ -12,7 +12,13 @@ from resc import keys
 from resc.keys import NestedKey
 from resc.math import rotation
 from resc.quantities import Within
-from resc.simulation.rigid_body import angular_acceleration, body_torque, steps_per_run
+from resc.simulation.rigid_body import (
+    AIR,
+    angular_acceleration,
+    body_torque,
+    steps_per_run,
+    wind_at,
+)
 from resc.simulation.vehicle import GRAVITY_MPS2
 from resc.term import Context, Term
 
@@ -34,7 +40,8 @@ class Multirotor(Term):
     Each step moves the rotors on and holds them, as Gazebo and SIH do, and then the body: its rate
     by the midpoint rule, its attitude by the rotation of the mean rate, its velocity by thrust
     along the mean of the axes before and after. Its error is of third order in the step, but for
-    that of the air, which is held. What rotors and air do is the plant's: `rotors` and `air`.
+    that of the air, which is held. What rotors and air do is the plant's: `rotors` and `air`. The
+    air moves as `randomization=wind` draws it.
 
     Args:
         substeps: Steps per control step; at least one for every run of the rate loop.
@@ -61,20 +68,26 @@ class Multirotor(Term):
         keys.ROTOR_THRUST,
         keys.ACCELERATION_W,
     )
+    varies = (keys.CENTRE_OF_MASS_B, *AIR, keys.CLOCK)
     gravity_w: Tensor
 
     def __init__(self, *, substeps: Annotated[int, Within(1, 100)] = 8) -> None:
         super().__init__()
         self.substeps = substeps
         self.steps = substeps
-        self.dt_s = 0.0
+        self.dt_s = self.period_s = 0.0
         gravity = torch.tensor([0.0, 0.0, -GRAVITY_MPS2])
         self.register_buffer("gravity_w", gravity, persistent=False)
 
     def bind(self, context: Context) -> None:
         """Takes the time that a call is for, and how many steps it takes."""
         self.dt_s = context.dt_s
+        self.period_s = context.dt_s * context.runs
         self.steps = steps_per_run(self.substeps, context.runs)
+
+    def vary(self, drawn: Collection[NestedKey]) -> None:
+        """Reads the wind, if it is drawn, and with it the time."""
+        super().vary({*drawn, keys.CLOCK} if keys.WIND_W in drawn else drawn)
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, and nothing has accelerated yet."""
@@ -98,7 +111,7 @@ class Multirotor(Term):
         thrust: Float[Tensor, "n 4"],
         arm: Float[Tensor, "n 3"],
     ) -> Air:
-        """What the air does to the vehicle."""
+        """What the air does to the vehicle; `velocity_b` is through the air."""
 
     def compute(
         self,
@@ -113,15 +126,21 @@ class Multirotor(Term):
         torque_coefficient: Float[Tensor, "n 1"],
         arm: Float[Tensor, "n 3"],
         thrust_scale: Float[Tensor, "n 1"],
+        *more: Tensor,
     ) -> tuple[Tensor, ...]:
+        further = self.further(more)
+        centre = further.get(keys.CENTRE_OF_MASS_B)
+        air = [further[key] for key in (*AIR, keys.CLOCK) if key in further]
+        wind = wind_at(*air, period_s=self.period_s) if air else None
         step_s = self.dt_s / self.steps
         start = velocity
         for _ in range(self.steps):
             thrust = self.rotors(thrust, command * thrust_scale, step_s)
-            velocity_b = rotation.rotate_inverse(attitude, velocity)
+            through_air = velocity if wind is None else velocity - wind
+            velocity_b = rotation.rotate_inverse(attitude, through_air)
             air = self.air(velocity_b, body_rate, thrust, arm)
             lifting = thrust * air.lift
-            torque = air.torque_b + _torque(lifting, thrust, arm, torque_coefficient)
+            torque = air.torque_b + _torque(lifting, thrust, arm, torque_coefficient, centre)
             middle = body_rate + step_s / 2 * angular_acceleration(body_rate, torque, inertia)
             turn = step_s * angular_acceleration(middle, torque, inertia)
             before = attitude
@@ -136,7 +155,13 @@ class Multirotor(Term):
         return position, velocity, attitude, body_rate, thrust, (velocity - start) / self.dt_s
 
 
-def _torque(lifting: Tensor, thrust: Tensor, arm: Tensor, torque_coefficient: Tensor) -> Tensor:
+def _torque(
+    lifting: Tensor,
+    thrust: Tensor,
+    arm: Tensor,
+    torque_coefficient: Tensor,
+    centre: Tensor | None = None,
+) -> Tensor:
     """Torque [N m]: about roll and pitch of what lifts, about yaw of all that the rotors push."""
-    levered = body_torque(lifting, arm, torque_coefficient)
+    levered = body_torque(lifting, arm, torque_coefficient, centre)
     return torch.cat((levered[:, :2], body_torque(thrust, arm, torque_coefficient)[:, 2:]), -1)

@@ -44,7 +44,8 @@ class Px4RateLoop(Term):
     w' the difference of w behind a filter of order 1, yaw torque behind another one. The integrator
     fades out with large errors and stops at its limit; where the allocator reports torque that it
     could not give, the error that would ask for more does not count. Thrust [N] becomes throttle by
-    the vehicle's own curve. The gyro measures the true rate. Source: px4.md 1.1 to 1.7.
+    the vehicle's own curve. The gyro measures the true rate, unless `randomization=gyro` gives it
+    errors; `randomization=gains` draws gains for each environment. Source: px4.md 1.1 to 1.7.
 
     Args:
         rate_hz: Runs per second, each followed by as much dynamics.
@@ -55,6 +56,7 @@ class Px4RateLoop(Term):
     reads = (keys.COLLECTIVE_THRUST, keys.BODY_RATE_COMMAND_B, keys.BODY_RATE_B, *LOOP)
     writes = (keys.ROTOR_COMMAND, *LOOP)
     keeps = LOOP
+    varies = (keys.RATE_GAINS,)
     p: Tensor
     i: Tensor
     d: Tensor
@@ -132,6 +134,7 @@ class Px4RateLoop(Term):
         yaw_torque: Float[Tensor, "n 1"],
         unallocated: Float[Tensor, "n 3"],
         age: Float[Tensor, "n 1"],
+        *drawn: Tensor,
     ) -> tuple[Tensor, ...]:
         # An axis or a rotor a row: the last dimension is long, and everything is done along it.
         command = rate_command.T * self.frame
@@ -140,11 +143,12 @@ class Px4RateLoop(Term):
         slope = (rate - filtered_rate.T) * self.rate_hz
         slope = acceleration.T + self.acceleration_share * (slope - acceleration.T)
         error = command - rate
-        torque = self.p * error + integral.T - self.d * slope + self.feed_forward * command
+        p, i, d = self._gains(*drawn)
+        torque = p * error + integral.T - d * slope + self.feed_forward * command
         yaw = yaw_torque[:, 0] + self.yaw_share * (torque[2] - yaw_torque[:, 0])
         # No stack: the compiler would keep yaw as an unaligned part of it, which its loop refuses.
         torque = torch.where(self.is_yaw, yaw, torque)
-        integral = self._integrated(integral.T, error, unallocated.T).T
+        integral = self._integrated(integral.T, i, error, unallocated.T).T
         motors = allocate(torque, self._throttle(thrust[:, 0]), self.mix, self.settings.airmode)
         missing = torque - (self.demix.unsqueeze(-1) * motors).sum(1)
         missing = torch.where(missing.square().sum(0) < ACHIEVED, 0.0, missing)
@@ -160,12 +164,22 @@ class Px4RateLoop(Term):
             torch.where(due, 1.0, age + 1),
         )
 
-    def _integrated(self, integral: Tensor, error: Tensor, unallocated: Tensor) -> Tensor:
+    def _gains(self, *drawn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """P, I and D, each [3, 1], or [3, n] where the environments have their own."""
+        nominal = (self.p, self.i, self.d)
+        if not drawn:
+            return nominal
+        p, i, d = (gain * own for gain, own in zip(nominal, drawn[0].unbind(-1), strict=True))
+        return p, i, d
+
+    def _integrated(
+        self, integral: Tensor, gain: Tensor, error: Tensor, unallocated: Tensor
+    ) -> Tensor:
         """The integrator's next state [3, n]."""
         error = torch.where(unallocated > EPSILON, error.clamp(max=0), error)
         error = torch.where(unallocated < -EPSILON, error.clamp(min=0), error)
         fade = (1 - (error / FADED_RADPS).square()).clamp(min=0)
-        integral = integral + fade * self.i * error / self.rate_hz
+        integral = integral + fade * gain * error / self.rate_hz
         return torch.minimum(torch.maximum(integral, -self.integral_limit), self.integral_limit)
 
     def _throttle(self, thrust: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from functools import partial
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -23,6 +23,13 @@ GUST_HZ = (0.1, 0.3, 0.9, 2.0)
 """Frequencies of gusts: slower ones are wind to a flight of seconds, faster ones mass filters."""
 
 
+class Lag(NamedTuple):
+    """Of the way to a new thrust, the share gained within a substep, and the mean share left."""
+
+    gained: Tensor | float
+    left: Tensor | float
+
+
 class RigidBody(Term):
     """State after one control step [SI], the rotor commands held.
 
@@ -33,7 +40,8 @@ class RigidBody(Term):
 
     Args:
         substeps: RK4 steps per control step; at least one for every run of the rate loop.
-        rotor_time_constant_s: T; zero makes the rotors instantaneous.
+        rotor_time_constant_s: T; zero makes the rotors instantaneous. What
+            `randomization=motor_time_constant` draws takes its place.
         drag_1ps: k, linear drag per mass.
         in_wind: Whether drag is relative to the wind that `randomization=wind` draws.
     """
@@ -51,6 +59,7 @@ class RigidBody(Term):
         keys.ARM,
         keys.THRUST_SCALE,
     )
+    varies = (keys.ROTOR_TIME_CONSTANT, keys.CENTRE_OF_MASS_B)
     writes = (
         keys.POSITION_W,
         keys.VELOCITY_W,
@@ -117,16 +126,20 @@ class RigidBody(Term):
         torque_coefficient: Float[Tensor, "n 1"],
         arm: Float[Tensor, "n 3"],
         thrust_scale: Float[Tensor, "n 1"],
-        *air: Tensor,
+        *more: Tensor,
     ) -> tuple[Tensor, ...]:
+        further = self.further(more)
+        air = [further[key] for key in (*AIR, keys.CLOCK) if key in further]
         wind = wind_at(*air, period_s=self.period_s) if air else None
         step_s = self.dt_s / self.steps
+        lag = self._lag(step_s, further.get(keys.ROTOR_TIME_CONSTANT))
+        centre = further.get(keys.CENTRE_OF_MASS_B)
         target = command * thrust_scale
         start = velocity
         for _ in range(self.steps):
-            mean_thrust, thrust = self._rotors(thrust, target, step_s)
+            mean_thrust, thrust = rotors(thrust, target, lag)
             acceleration_b = mean_thrust.sum(-1, keepdim=True) / mass
-            torque = body_torque(mean_thrust, arm, torque_coefficient)
+            torque = body_torque(mean_thrust, arm, torque_coefficient, centre)
             slopes = partial(
                 self._slopes,
                 acceleration_b=acceleration_b,
@@ -157,14 +170,25 @@ class RigidBody(Term):
         linear = linear - self.drag_1ps * (v if wind is None else v - wind)
         return v, linear, rotation.derivative(q, w), angular_acceleration(w, torque, inertia)
 
-    def _rotors(self, thrust: Tensor, target: Tensor, step_s: float) -> tuple[Tensor, Tensor]:
-        """Mean thrust over a substep and thrust at its end [N]: first-order lag, exact."""
+    def _lag(self, step_s: float, drawn: Tensor | None) -> Lag | None:
+        """What a substep brings the rotors, whose time constant may be drawn; None without lag."""
+        # expm1: 1 - exp(-x) loses digits for short substeps
+        if drawn is not None:
+            gained = -torch.expm1(-step_s / drawn)
+            return Lag(gained, gained * drawn / step_s)
         constant = self.rotor_time_constant_s
         if constant == 0:
-            return target, target
-        rest = -math.expm1(-step_s / constant)  # expm1: 1 - exp(-x) loses digits for short substeps
-        mean = target + (thrust - target) * (rest * constant / step_s)
-        return mean, thrust + (target - thrust) * rest
+            return None
+        gained = -math.expm1(-step_s / constant)
+        return Lag(gained, gained * constant / step_s)
+
+
+def rotors(thrust: Tensor, target: Tensor, lag: Lag | None) -> tuple[Tensor, Tensor]:
+    """Mean thrust over a substep and thrust at its end [N]: first-order lag, exact."""
+    if lag is None:
+        return target, target
+    mean = target + (thrust - target) * lag.left
+    return mean, thrust + (target - thrust) * lag.gained
 
 
 def wind_at(
@@ -202,13 +226,22 @@ def body_torque(
     thrust: Float[Tensor, "n 4"],
     arm: Float[Tensor, "n 3"],
     torque_coefficient: Float[Tensor, "n 1"],
+    centre: Float[Tensor, "n 2"] | None = None,
 ) -> Float[Tensor, "n 3"]:
-    """Torque [N m] of the rotors FR, RR, RL, FL about the body axes (facts 2.1)."""
+    """Torque [N m] of the rotors FR, RR, RL, FL about the body axes (facts 2.1).
+
+    The axes pass through the centre of mass, which is by default where the arms count from; from
+    one that is ahead and to the left, all rotors are further back and to the right.
+    """
     fr, rr, rl, fl = thrust.unbind(-1)
     x, y_front, y_rear = arm.unbind(-1)
     roll = y_front * (fl - fr) + y_rear * (rl - rr)
     pitch = x * (rr + rl - fr - fl)
     yaw = torque_coefficient[:, 0] * (rr + fl - fr - rl)
+    if centre is not None:
+        ahead, left = centre.unbind(-1)
+        total = fr + rr + rl + fl
+        roll, pitch = roll - left * total, pitch + ahead * total
     return torch.stack((roll, pitch, yaw), -1)
 
 

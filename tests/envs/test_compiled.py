@@ -33,3 +33,8 @@ def test_the_compiled_environment_agrees_with_the_uncompiled_one_and_with_its_sp
 @pytest.mark.slow  # the runs of PX4's loop are one loop of the compiled program
 def test_the_compiled_loop_of_px4_agrees_with_the_uncompiled_one():
     run("compare", "rate_loop=px4", "vehicle=iris_px4", "dynamics=gazebo")
+
+
+@pytest.mark.slow
+def test_a_compiled_vehicle_with_everything_drawn_agrees_with_the_uncompiled_one():
+    run("compare", "randomization=wild", "rate_loop=px4", "dynamics=in_wind")

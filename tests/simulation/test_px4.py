@@ -68,6 +68,17 @@ def test_the_first_run_answers_a_step_of_roll_with_the_proportional_gain(context
     assert thrust[3] == pytest.approx(HOVER_N / 4 + 7.066 * mix, rel=1e-4)
 
 
+def test_drawn_gains_scale_those_of_the_vehicle(context):
+    usual = Loop(context).run(1, (1.0, 0.0, 0.0))
+    loop = Loop(context)
+    loop.term.vary({keys.RATE_GAINS})
+    loop.tensors[keys.RATE_GAINS] = torch.tensor([[1.5, 2.0, 1.0]])
+    loop.run(1, (1.0, 0.0, 0.0))
+    turning = [run[keys.ROTOR_COMMAND][3] - HOVER_N / 4 for run in (usual, loop)]
+    assert turning[1] == pytest.approx(1.5 * turning[0], rel=1e-4)
+    assert loop[keys.RATE_INTEGRAL][0] == pytest.approx(2 * usual[keys.RATE_INTEGRAL][0], rel=1e-5)
+
+
 def test_the_integrator_grows_by_its_gain_and_fades_with_a_large_error(context):
     small = Loop(context).run(1, (0.1, 0.0, 0.0))[keys.RATE_INTEGRAL][0]
     fade = 1 - (0.1 / math.radians(400)) ** 2

@@ -9,7 +9,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.maps.constants import MapDistance
 from resc.quantities import NotNegative, Positive
-from resc.term import Context, Randomization, uniform_between
+from resc.term import Context, Randomization, least_and_greatest, uniform_between
 
 
 class SpeedLimit(Randomization):
@@ -27,7 +27,7 @@ class SpeedLimit(Randomization):
 
     def __init__(self, *, speed_mps: Sequence[Positive]) -> None:
         super().__init__()
-        self.speed_mps = _range("speed_mps", speed_mps)
+        self.speed_mps = least_and_greatest("speed_mps", speed_mps)
 
     def compute(
         self, start: Float[Tensor, "n 3"], unit: Float[Tensor, "n 1"]
@@ -53,7 +53,7 @@ class Margin(Randomization):
 
     def __init__(self, *, margin_m: Sequence[MapDistance], headroom_m: NotNegative = 0.1) -> None:
         super().__init__()
-        self.margin_m = _range("margin_m", margin_m)
+        self.margin_m = least_and_greatest("margin_m", margin_m)
         self.headroom_m = headroom_m
 
     def bind(self, context: Context) -> None:
@@ -79,9 +79,3 @@ class Margin(Randomization):
         least, greatest = self.margin_m
         of_scene = (clearance - self.headroom_m).clamp(least, greatest)
         return of_scene.where(clearance.isfinite(), uniform_between(unit, least, greatest))
-
-
-def _range(name: str, ends: Sequence[float]) -> tuple[float, float]:
-    if len(ends) != 2 or not 0 < ends[0] <= ends[1]:
-        raise ConfigError(f"{name} is {list(ends)}; expected [least, greatest], both above zero.")
-    return float(ends[0]), float(ends[1])

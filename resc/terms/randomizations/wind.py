@@ -17,7 +17,7 @@ GUSTS = len(SHARES) * 2 * 3
 
 
 class Wind(Randomization):
-    """A mean wind and gusts [m/s], for dynamics that are `in_wind`.
+    """A mean wind and gusts [m/s], for dynamics that are `in_wind`, `gazebo` and `sih`.
 
     The mean is horizontal, of any direction, its speed uniform in [0, mean_mps]. Gusts are a
     Gaussian process with the standard deviation gust_mps along every axis: four frequencies with
@@ -30,6 +30,7 @@ class Wind(Randomization):
 
     writes = (keys.WIND_W, keys.GUST_W)
     draws = 2 + GUSTS
+    readers = "dynamics=in_wind"
 
     def __init__(self, *, mean_mps: NotNegative, gust_mps: NotNegative = 0.0) -> None:
         super().__init__()
