@@ -106,8 +106,9 @@ class Term(TensorDictModuleBase):
 
     def vary(self, drawn: Collection[NestedKey]) -> None:
         """Reads what it varies with and what is drawn for every episode, too."""
-        own = [key for key in self.reads if key not in self.varies]
-        self.reads = (*own, *(key for key in self.varies if key in drawn))
+        if self.varies:
+            own = [key for key in self.reads if key not in self.varies]
+            self.reads = (*own, *(key for key in self.varies if key in drawn))
 
     def further(self, values: Sequence[Tensor]) -> dict[NestedKey, Tensor]:
         """By their keys, the last arguments of `compute`: what not every such term reads."""

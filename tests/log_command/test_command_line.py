@@ -320,11 +320,11 @@ def test_the_picture_shows_where_a_flight_counts_as_a_collision(street, tmp_path
     assert inflation_m(street, 0) == 0.3
     axes = Figure().add_subplot()
     boxes = torch.tensor([[3.0, 0.5, 0.4, 1.0], [0.0, 0.0, 0.0, 0.0]])
-    _draw_obstacles(axes, {"boxes_w": boxes}, 0.3)
+    (named,) = _draw_obstacles(axes, {"boxes_w": boxes}, 0.3)
     (inflated,) = [p for p in axes.patches if p.get_boxstyle().pad == 0.3]
     shape = inflated.get_path().get_extents()
     assert (shape.x0, shape.y0, shape.x1, shape.y1) == pytest.approx((2.7, 0.2, 3.7, 1.8))
-    assert "0.3 m" in axes.get_legend().get_texts()[0].get_text()
+    assert "0.3 m" in named.get_label()
 
 
 def test_a_crash_in_the_last_step_does_not_flatten_the_other_rewards():
