@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from hydra.core.global_hydra import GlobalHydra
 
 ROOT = Path(__file__).parents[1]
 GUARD = 'if __name__ == "__main__":'
@@ -35,6 +36,7 @@ def run_and_end(path, arguments, out, errors):
         os.fdopen(number, "w", closefd=False, buffering=1) for number in (1, 2)
     )
     os.chdir(ROOT)
+    GlobalHydra.instance().clear()
     sys.argv = [str(path), *arguments]
     runpy.run_path(str(path), run_name="__main__")
 
