@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from resc.math.kalman import corrected, predicted_covariance, transition, white_acceleration
 
-STEPS, COUNT, AXES, DT_S = 1000, 64, 3, 0.02
+COUNT, AXES, DT_S = 64, 3, 0.02
 DOUBLE = torch.zeros((), dtype=torch.float64)
 
 
@@ -30,11 +30,12 @@ def step(mean, covariance, position, used, push=0.0, *, noise=1e-6, wander=None)
     )
 
 
-def test_a_batch_of_filters_is_filterpy_step_by_step():
+@pytest.mark.parametrize("steps", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_batch_of_filters_is_filterpy_step_by_step(steps):
     rng = np.random.default_rng(0)
-    measured = np.cumsum(rng.normal(size=(STEPS, COUNT, AXES)), 0) * 0.02
-    pushes = rng.normal(size=(STEPS, COUNT, AXES))
-    arrives = rng.random((STEPS, COUNT, 1)) > 0.1
+    measured = np.cumsum(rng.normal(size=(steps, COUNT, AXES)), 0) * 0.02
+    pushes = rng.normal(size=(steps, COUNT, AXES))
+    arrives = rng.random((steps, COUNT, 1)) > 0.1
     filters = [[KalmanFilter(dim_x=2, dim_z=1) for _ in range(AXES)] for _ in range(COUNT)]
     for one in (each for row in filters for each in row):
         one.F = np.array([[1, DT_S], [0, 1]])
@@ -46,7 +47,7 @@ def test_a_batch_of_filters_is_filterpy_step_by_step():
     mean = torch.zeros(COUNT, 2, AXES, dtype=torch.float64)
     covariance = torch.diag(torch.tensor([1e-6, 1e-2], dtype=torch.float64)).expand(COUNT, 2, 2)
     worst = 0.0
-    for t in range(STEPS):
+    for t in range(steps):
         mean, covariance = step(
             mean,
             covariance,
