@@ -52,6 +52,7 @@ def run_script(script, folder, *arguments):
     )
 
 
+@pytest.mark.slow
 def test_the_command_of_the_page_compares_the_new_pilot(own_package, call_script, tmp_path):
     assert COMMAND[:3] == ["PYTHONPATH=.", "python", "evaluate.py"]
     small = (

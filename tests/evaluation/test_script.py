@@ -42,6 +42,7 @@ def test_unknown_scene_is_answered_with_the_nearest(tmp_path):
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_scene_of_a_folder_of_ones_own_is_flown_from_elsewhere_by_the_shipped_policy(tmp_path):
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "mine.yaml").write_text(

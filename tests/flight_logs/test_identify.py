@@ -52,6 +52,7 @@ def test_rates_of_other_logging_rates_give_it_too(trace, dt_s):
         np.testing.assert_allclose(times, truth()[0][1:], atol=0.03 if dt_s > 0.01 else 0.006)
 
 
+@pytest.mark.slow
 def test_without_steps_deconvolution_gives_it(trace):
     for result in rate_responses(trace(wandering()), MODEL):
         assert result.measured.method == "deconvolution"

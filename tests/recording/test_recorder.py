@@ -519,6 +519,7 @@ def children(tmp_path_factory):
     started.close()
 
 
+@pytest.mark.slow
 def test_a_writer_that_ends_early_is_an_error_with_its_last_words(tmp_path, children):
     children.start("misspelt", tmp_path)
     with pytest.raises(AssertionError, match=r"(?s)ended early .end 1.: .*KeyError: 'misspelt'"):

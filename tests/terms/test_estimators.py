@@ -105,7 +105,7 @@ def errors(env, steps=60):
 
 
 @pytest.mark.parametrize("name", ["kf_cv", "kf_imu", "ekf"])
-@pytest.mark.parametrize("latency_s", [0.01, 0.02])
+@pytest.mark.parametrize("latency_s", [pytest.param(0.01, marks=pytest.mark.slow), 0.02])
 def test_making_up_for_the_latency_beats_leaving_it(make_env, name, latency_s):
     chosen = (*FREE, "num_envs=64", f"estimator={name}", f"sensor.mocap.latency_s={latency_s}")
     known = errors(make_env(*chosen))
