@@ -76,7 +76,8 @@ class Term(TensorDictModuleBase):
 
     What a term `varies` with, it reads after everything else in episodes that have it drawn.
 
-    A term that calls other code than torch says so, `compiles = False`, and flies uncompiled.
+    A term that calls other code than torch says so, `compiles = False`, and flies uncompiled. One
+    whose outputs come from outside, so that no replay gives them again, says `replays = False`.
 
     A rate loop may run several times in a control step, as many `runs` as it says once it is bound;
     each is followed by dynamics of a part of the step.
@@ -98,6 +99,7 @@ class Term(TensorDictModuleBase):
     name: str = ""
     eases: ClassVar[bool] = False
     compiles: ClassVar[bool] = True
+    replays: ClassVar[bool] = True
     runs: int = 1
     difficulty: str | None = None
 

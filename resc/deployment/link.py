@@ -218,6 +218,7 @@ class Link:
         self.in_offboard = heartbeat.custom_mode >> 16 & 0xFF == OFFBOARD
         if self.flying and not (self.armed and self.in_offboard):
             lost = "left OFFBOARD" if self.armed else "was disarmed"
+            self.flying, self.over = False, True  # it is its pilot's: nothing more is sent
             raise self._stopped(f"The vehicle {lost}: its pilot or its flight controller flies.")
 
     def _measure(self, message: Any) -> None:  # noqa: ANN401

@@ -48,6 +48,7 @@ class LinkedVehicle(Term):
         keys.LINK_STOPPED,
     )
     compiles: ClassVar[bool] = False
+    replays: ClassVar[bool] = False
 
     def __init__(self) -> None:
         super().__init__()

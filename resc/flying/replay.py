@@ -16,6 +16,7 @@ from tensordict import TensorDict
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.stages import Stages
 from resc.errors import ConfigError, RecordingError
 from resc.flying.episodes import RENEWED
 from resc.flying.loop import flown
@@ -121,7 +122,8 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
 
     Raises:
         RecordingError: The file, the episode, or how it began is not there.
-        ConfigError: The recorded configuration builds no environment today.
+        ConfigError: The recorded configuration builds no environment today, or what was recorded is
+            a real vehicle's flight.
     """
     path, episode = parse(location)
     log = RolloutLog(path)
@@ -130,7 +132,9 @@ def fly_again(location: str, *, allowed: Sequence[str] = ()) -> Replay:
     # A recording may hold only some of the environments; they flew among all.
     count = config.get("num_envs") or log.num_envs
     layout = layout_from({name: array.unsqueeze(0) for name, array in scene.items()})
-    setup = among(layout, build_stages(config), config["device"])
+    stages = build_stages(config)
+    require_simulated(stages, location)
+    setup = among(layout, stages, config["device"])
     env = setup.env(count, compiled=config["compile"], in_order=True)
     put_back(env, world)
     listed = log.episodes.row(episode, named=True)
@@ -158,6 +162,16 @@ def recorded_config(log: RolloutLog | Selection, allowed: Sequence[str] = ()) ->
     if config["device"].startswith("cuda") and not torch.cuda.is_available():
         config["device"] = "cpu"
     return config
+
+
+def require_simulated(stages: Stages, location: str) -> None:
+    """Raises ConfigError if a term's outputs came from outside, such as a real vehicle's state."""
+    for term in stages.terms:
+        if not term.replays:
+            raise ConfigError(
+                f"replay is {location}, whose {term.path} is {type(term).__name__}: no actions "
+                "bring that flight back; draw it with resc-log, or replay a simulated one."
+            )
 
 
 def put_back(env: QuadrotorEnv, world: TensorDict) -> None:

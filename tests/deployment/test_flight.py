@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -38,19 +39,28 @@ def started(module, port, folder, *arguments):
     return subprocess.Popen(line, cwd=ROOT, env=environment, **pipes)
 
 
+@contextmanager
+def alive(process):
+    """Leaves no process behind, whatever happens."""
+    try:
+        yield process
+    finally:
+        process.kill()  # one that has ended does not mind
+        process.communicate(timeout=10)
+
+
 def flight(folder, peer=(), fly=(), during=None):
     """Exit status and words of a flight, and the words of its peer."""
     port = free_port()
-    with started("peer", port, folder, *LIGHT, *peer) as other:
-        try:
-            with started(
-                "fly", port, folder, "arm=true", "link.wait_s=90", *(fly or (PATIENT,))
-            ) as own:
-                if during:
-                    during(own, other)
-                told = own.communicate(timeout=LIMIT_S)[0]
-        finally:
-            other.send_signal(signal.SIGTERM)
+    arguments = ("arm=true", "link.wait_s=90", *(fly or (PATIENT,)))
+    with (
+        alive(started("peer", port, folder, *LIGHT, *peer)) as other,
+        alive(started("fly", port, folder, *arguments)) as own,
+    ):
+        if during:
+            during(own, other)
+        told = own.communicate(timeout=LIMIT_S)[0]
+        other.send_signal(signal.SIGTERM)
         heard = other.communicate(timeout=LIMIT_S)[0]
     return own.returncode, told, heard
 
@@ -73,7 +83,9 @@ def in_flight(act):
 
 
 @pytest.mark.parametrize(
-    "peer", [(), ("peer.loss=0.05", "peer.jitter_s=0.01")], ids=["clean", "lossy"]
+    "peer",
+    [(), ("peer.loss=0.05", "peer.jitter_s=0.01"), ("rate_loop=px4",)],
+    ids=["clean", "lossy", "px4"],
 )
 def test_a_map_is_flown_through_the_link(tmp_path, peer):
     code, told, heard = flight(tmp_path, peer)
@@ -102,13 +114,34 @@ def test_odometry_that_stops_is_told_and_the_vehicle_asked_to_hold(tmp_path):
     assert "0 times without any" in heard  # it was in hold before its own watchdog had to see to it
 
 
-def test_ctrl_c_stops_in_order_and_the_recording_is_whole(tmp_path):
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """A flight that Ctrl-C stopped: exit status, its words and its peer's, and its folder."""
+    folder = tmp_path_factory.mktemp("stopped")
     stop = in_flight(lambda own, other: own.send_signal(signal.SIGINT))
-    code, told, _ = flight(tmp_path, during=stop)
+    return *flight(folder, during=stop), folder
+
+
+def test_ctrl_c_stops_in_order_and_the_recording_is_whole(stopped):
+    code, told, heard, folder = stopped
     assert code == 1
     assert "error: Stopped by Ctrl-C." in told
-    log = RolloutLog(tmp_path / "fly" / "rollouts")
+    assert "0 times without any" in heard  # it was in hold before its own watchdog had to see to it
+    log = RolloutLog(folder / "fly" / "rollouts")
     assert log.episodes["outcome"].to_list() == ["link"]
+    episode = log.episode(0)
+    assert len(episode) == log.num_steps > 10
+    assert episode["state", "position_w"].isfinite().all()
+
+
+def test_the_recording_of_a_real_flight_is_not_replayed(stopped):
+    recording = stopped[-1] / "fly" / "rollouts"
+    line = [sys.executable, "evaluate.py", f"replay={recording}#0", f"hydra.run.dir={stopped[-1]}"]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT_S)
+    assert done.returncode == 1
+    told = (done.stdout + done.stderr).strip().splitlines()
+    assert told[-1].startswith(f"error: replay is {recording}#0, whose dynamics is LinkedVehicle:")
+    assert "Traceback" not in done.stderr
 
 
 def test_a_position_in_another_frame_is_named_before_anything_is_sent(tmp_path):
