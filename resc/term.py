@@ -80,7 +80,8 @@ class Term(TensorDictModuleBase):
     whose outputs come from outside, so that no replay gives them again, says `replays = False`.
 
     A rate loop may run several times in a control step, as many `runs` as it says once it is bound;
-    each is followed by dynamics of a part of the step.
+    each is followed by dynamics of a part of the step. Dynamics that fly by a rate loop of
+    their own name, as `own_loop`, the setting with which they fly by the given one instead.
 
     A term that `eases` can be made easier: with `difficulty: name` in its configuration, the
     difficulty of that name, [n, 1] in [0, 1], follows all other arguments of `compute`.
@@ -101,6 +102,7 @@ class Term(TensorDictModuleBase):
     compiles: ClassVar[bool] = True
     replays: ClassVar[bool] = True
     runs: int = 1
+    own_loop: str = ""
     difficulty: str | None = None
 
     def bind(self, context: Context) -> None:

@@ -391,13 +391,16 @@ class Stages(nn.Module):
 
     def _require_use(self) -> None:
         """What is drawn for an episode must change something."""
-        read = {key for term in self.terms for key in term.reads} | set(self._noise)
+        loop, own_loop = self.terms.rate_loop, self.terms.dynamics.own_loop
+        heard = [term for term in self.terms if term is not loop]
+        by_loop = {*loop.reads, *self._noise}
+        read = {key for term in heard for key in term.reads} | (set() if own_loop else by_loop)
         idle = [term for term in self.terms.randomizations if not read & set(term.outputs)]
         if not idle:
             return
         facts = " and ".join(f"{term.path} draws {'.'.join(term.outputs[0])}" for term in idle)
-        readers = dict.fromkeys(term.readers for term in idle if term.readers)
-        add = f"choose {' '.join(readers)}" if readers else "add what reads it"
+        unheard = (own_loop if by_loop & set(term.outputs) else term.readers for term in idle)
+        add = _choices([setting for setting in unheard if setting])
         raise ConfigError(
             f"{facts}, which nothing reads, so it would change nothing; {add}, or leave it out."
         )
@@ -426,6 +429,14 @@ class Stages(nn.Module):
             at_reset |= set(term.outputs) if at_reset.issuperset(term.reads) else set()
         for term in self.terms.observed:
             _require(term, at_reset, "which an episode does not begin with")
+
+
+def _choices(settings: Sequence[str]) -> str:
+    """What to choose, for a message: one file of a group, or settings of that which is chosen."""
+    last = {setting.split("=")[0]: setting for setting in settings}
+    files = {name for name in last if "." not in name}
+    chosen = [last[name] for name in last if name in files or name.split(".")[0] not in files]
+    return f"choose {' '.join(chosen)}" if chosen else "add what reads it"
 
 
 def _bind(term: Term, context: Context) -> None:

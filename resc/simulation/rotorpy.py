@@ -64,6 +64,7 @@ class RotorPy(ExternalSimulator):
             )
         self.module = _rotorpy()
         self.loop = loop
+        self.own_loop = "dynamics.loop=given" if loop == "own" else ""
         self.thrust_per_speed2 = greatest_thrust_n / greatest_speed_radps**2
         self.constants = {
             "k_w": rate_gain_1ps,

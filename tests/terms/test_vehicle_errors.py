@@ -141,7 +141,13 @@ def test_noise_goes_on_from_run_to_run_and_from_step_to_step(make_env):
         (["randomization=[motor_time_constant]", "dynamics=sih"],
          r"motor_time_constant draws .* choose dynamics=lag_and_drag, or leave it out"),
         (["randomization=[centre_of_mass]", "dynamics=mujoco", "compile=false"],
-         r"centre_of_mass draws .* choose dynamics=rigid_body, or leave it out"),
+         r"centre_of_mass draws .* choose dynamics=lag_and_drag, or leave it out"),
+        (["randomization=[gains,gyro]", "rate_loop=px4", "dynamics=rotorpy", "compile=false"],
+         r"\.gains draws .* and randomization\.gyro draws .* choose dynamics\.loop=given, or"),
+        (["randomization=[gyro]", "dynamics=rotorpy", "compile=false"],
+         r"randomization\.gyro draws .* choose dynamics\.loop=given, or leave it out"),
+        (["randomization=mild", "rate_loop=px4", "dynamics=rotorpy", "compile=false"],
+         r"\.gains draws .* choose dynamics=lag_and_drag, or leave it out"),
     ],
 )  # fmt: skip
 def test_a_draw_that_nothing_reads_is_refused_with_what_would_read_it(compose, overrides, sentence):
@@ -165,6 +171,11 @@ def test_a_preset_flies_where_it_says(make_env, preset, choices):
     for _ in range(3):
         env.advance(torch.zeros(4, 4))
     assert env.value_of(keys.POSITION_W).isfinite().all()
+
+
+def test_another_simulator_with_our_rate_loop_flies_by_what_is_drawn_for_it(make_stages):
+    choices = ("rate_loop=px4", "dynamics=rotorpy", "dynamics.loop=given", "compile=false")
+    make_stages(*FAST, "randomization=[gains,gyro]", *choices)
 
 
 def test_presets_widen_in_their_order(make_stages):

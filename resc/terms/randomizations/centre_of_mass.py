@@ -21,7 +21,7 @@ class CentreOfMass(Randomization):
 
     writes = (keys.CENTRE_OF_MASS_B,)
     draws = 2
-    readers = "dynamics=rigid_body"
+    readers = "dynamics=lag_and_drag"
 
     def __init__(self, *, spread_m: NotNegative) -> None:
         super().__init__()
