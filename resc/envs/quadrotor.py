@@ -144,9 +144,10 @@ class QuadrotorEnv(EnvBase):
             raise bad_action(action, self.observation, self._world[keys.CLOCK], columns)
         drawn = self._draw(self.step_draws, self.num_envs)
         try:
-            self._world, out = self._step_function(self._world, self.pool.shared, action, drawn)
+            world, out = self._step_function(self._world, self.pool.shared, action, drawn)
         except Exception as error:  # what a term of one's own raises is told with its name
             raise blamed(error, f"step {self.steps_taken + 1}") from error
+        self._world = _separate(world)
         if self.stages.devices:
             require_measured(self.stages.devices, self._world)
         self.observation, self.observation_critic = out.observation, out.observation_critic
@@ -165,9 +166,11 @@ class QuadrotorEnv(EnvBase):
             self._allocate()
         if not len(rows):
             return self.observation
-        # A copy: the caller keeps the last observation of the episode.
-        self.observation = self.observation.clone()
-        self.observation_critic = self.observation_critic.clone()
+        # A copy: the caller keeps the last observation of the episode. Strides are always the same,
+        # of an empty part too, so that nothing is compiled twice.
+        own, critic = self.observation, self.observation_critic
+        self.observation = own.clone(memory_format=torch.contiguous_format)
+        self.observation_critic = critic.clone(memory_format=torch.contiguous_format)
         for part in rows.cpu().split(self.chunk):
             filled = torch.arange(self.chunk).clamp(max=len(part) - 1)
             target = part[filled].to(self.device)
@@ -375,3 +378,16 @@ def _require_torch(stages: Stages) -> None:
             f"{', '.join(foreign)} cannot be compiled: it calls a simulator outside of torch; set "
             "compile=false, or choose another."
         )
+
+
+def _separate(world: World) -> World:
+    """The world, with no tensor under two keys: a reset writes rows of each in place.
+
+    An estimate may be a reading as it is; compiled, equal outputs are one tensor.
+    """
+    own: World = {}
+    seen: set[int] = set()
+    for key, value in world.items():
+        own[key] = value.clone() if id(value) in seen else value
+        seen.add(id(value))
+    return own

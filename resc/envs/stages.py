@@ -195,7 +195,14 @@ class Stages(nn.Module):
             outcome=tensors[("outcome",)],
             reward_terms=reward_terms,
         )
-        return {key: tensors[key] for key in world}, out
+        return {key: tensors[key] for key in world} | self._measured(tensors), out
+
+    def _measured(self, tensors: World) -> World:
+        """All that is measured and estimated, with the strides that it has after a reset.
+
+        What is compiled holds for one stride only.
+        """
+        return {key: tensors[key].contiguous() for term in self.devices for key in term.outputs}
 
     def restart(
         self,

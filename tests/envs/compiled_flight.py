@@ -57,7 +57,11 @@ def difficulty():
 
 
 def compare():
-    """Flies the compiled and the uncompiled environment, each step from the same world."""
+    """Flies the compiled and the uncompiled environment, each step from the same world.
+
+    Step and reset are compiled once each: an error if another call wants another program.
+    """
+    torch._dynamo.config.error_on_recompile = True
     eager, compiled = make_env(compiled=False), make_env(compiled=True)
     everyone = torch.arange(ROWS)
     same("restart", compiled.restart(everyone), eager.restart(everyone))

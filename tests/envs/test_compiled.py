@@ -40,7 +40,7 @@ def test_a_compiled_vehicle_with_everything_drawn_agrees_with_the_uncompiled_one
     run("compare", "randomization=wild", "rate_loop=px4", "dynamics=in_wind")
 
 
-@pytest.mark.slow  # about a minute for the compiler
-@pytest.mark.parametrize("estimator", ["kf_imu"])
+@pytest.mark.slow  # 1.5 minutes each for the compiler
+@pytest.mark.parametrize("estimator", ["kf_imu", "ekf"])
 def test_a_compiled_estimator_agrees_with_the_uncompiled_one(estimator):
     run("compare", f"estimator={estimator}")

@@ -167,3 +167,15 @@ def test_a_latency_longer_than_the_buffer_is_refused(make_env, name):
         ConfigError, match=r"estimator: buffer_s is 0\.1, but frames are 0\.2 s old"
     ):
         make_env(*FREE, f"estimator={name}", "sensor.mocap.latency_s=0.2")
+
+
+@pytest.mark.parametrize("name", ["noise", "fd_lpf", "kf_cv", "kf_imu", "ekf"])
+def test_an_estimate_is_a_tensor_of_its_own_in_the_world(make_env, name):
+    env = make_env(*FREE, "num_envs=3", f"estimator={name}")
+    env.restart(torch.arange(3))
+    begun = {key: env.value_of(key).stride() for key in env.stages.persistent}
+    env.advance(torch.zeros(3, 4))
+    world = {key: env.tensors[key] for key in env.stages.persistent}
+    places = [value.untyped_storage().data_ptr() for value in world.values()]
+    assert len(set(places)) == len(places)
+    assert {key: value.stride() for key, value in world.items()} == begun
