@@ -17,7 +17,7 @@ from resc.deployment.link import Link
 from resc.deployment.odometry import Odometry
 from resc.errors import LinkError
 from resc.keys import NestedKey
-from resc.simulation.vehicle import GRAVITY_MPS2
+from resc.simulation.vehicle import hovering
 from resc.term import Context, Term, Termination
 from resc.terms.tasks.initial_state import InitialState
 
@@ -61,11 +61,7 @@ class LinkedVehicle(Term):
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, and nothing has accelerated yet."""
-        hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
-        return {
-            keys.ROTOR_THRUST: hover.expand(-1, 4),
-            keys.ACCELERATION_W: torch.zeros_like(tensors[keys.VELOCITY_W]),
-        }
+        return hovering(tensors)
 
     def compute(
         self,

@@ -119,7 +119,7 @@ class Stages(nn.Module):
             list(terms)
         )  # so that .to(device) reaches their buffers
         self.context = context
-        self.drawn = {key for term in terms.randomizations for key in term.outputs}
+        self.drawn = tuple(key for term in terms.randomizations for key in term.outputs)
         for term in terms:
             term.vary(self.drawn)
         self._bind_terms(terms)
@@ -271,8 +271,7 @@ class Stages(nn.Module):
         task = [*self.terms.task.keeps, keys.FINISHED]
         kept = [key for term in self.terms for key in (*term.initial, *term.keeps)]
         eased = [keys.difficulty(name) for name in self.difficulties]
-        drawn = [key for term in self.terms.randomizations for key in term.outputs]
-        every = [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *drawn, *kept, *eased]
+        every = [*state, keys.CLOCK, keys.SCENE_INDEX, *task, *self.drawn, *kept, *eased]
         return list(dict.fromkeys(every))
 
     def _bind_terms(self, terms: Terms) -> None:

@@ -4,6 +4,7 @@ Losses, target networks and buffer are TorchRL's.
 """
 
 import logging
+from abc import abstractmethod
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -100,17 +101,17 @@ class OffPolicy(Algorithm):
         )
 
     @property
+    @abstractmethod
     def head(self) -> Head:
         """What makes a distribution of actions."""
-        raise NotImplementedError
 
+    @abstractmethod
     def make_loss(self, actor: TensorDictModuleBase, value: TensorDictModule) -> LossModule:
         """TorchRL's loss of these networks."""
-        raise NotImplementedError
 
+    @abstractmethod
     def losses(self, sample: TensorDict) -> dict[str, Tensor]:
         """Losses to add up, by name; other figures are detached."""
-        raise NotImplementedError
 
     def update(self, batch: TensorDict) -> dict[str, float]:
         """Puts the batch into the buffer, and takes `updates` gradient steps on samples of it."""

@@ -13,7 +13,7 @@ from resc import keys
 from resc.keys import NestedKey
 from resc.quantities import Within
 from resc.simulation.rigid_body import steps_per_run
-from resc.simulation.vehicle import GRAVITY_MPS2
+from resc.simulation.vehicle import hovering
 from resc.term import Context, Term
 
 PARAMETERS = (keys.MASS, keys.INERTIA_B, keys.TORQUE_COEFFICIENT, keys.ARM)
@@ -124,11 +124,7 @@ class ExternalSimulator(Term):
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, and nothing has accelerated yet."""
-        hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
-        return {
-            keys.ROTOR_THRUST: hover.expand(-1, 4),
-            keys.ACCELERATION_W: torch.zeros_like(tensors[keys.VELOCITY_W]),
-        }
+        return hovering(tensors)
 
     @torch.no_grad()
     def compute(

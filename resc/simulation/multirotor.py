@@ -19,7 +19,7 @@ from resc.simulation.rigid_body import (
     steps_per_run,
     wind_at,
 )
-from resc.simulation.vehicle import GRAVITY_MPS2
+from resc.simulation.vehicle import GRAVITY_MPS2, hovering
 from resc.term import Context, Term
 
 
@@ -91,11 +91,7 @@ class Multirotor(Term):
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, and nothing has accelerated yet."""
-        hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
-        return {
-            keys.ROTOR_THRUST: hover.expand(-1, 4),
-            keys.ACCELERATION_W: torch.zeros_like(tensors[keys.VELOCITY_W]),
-        }
+        return hovering(tensors)
 
     @abstractmethod
     def rotors(

@@ -15,7 +15,7 @@ from resc.keys import DECLARED, NestedKey
 from resc.math import rotation
 from resc.math.integrate import State, rk4
 from resc.quantities import NotNegative, Within
-from resc.simulation.vehicle import GRAVITY_MPS2
+from resc.simulation.vehicle import GRAVITY_MPS2, hovering
 from resc.term import Context, Term
 
 AIR = (keys.WIND_W, keys.GUST_W)
@@ -105,13 +105,9 @@ class RigidBody(Term):
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, nothing has accelerated yet, and the air is as drawn."""
-        hover = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
-        still = {key: hover.new_zeros([len(hover), *map(int, DECLARED[key].shape)]) for key in AIR}
-        return {
-            keys.ROTOR_THRUST: hover.expand(-1, 4),
-            keys.ACCELERATION_W: torch.zeros_like(tensors[keys.VELOCITY_W]),
-            **{key: tensors.get(key, still[key]) for key in self.keeps},
-        }
+        mass = tensors[keys.MASS]
+        still = {key: mass.new_zeros([len(mass), *map(int, DECLARED[key].shape)]) for key in AIR}
+        return hovering(tensors) | {key: tensors.get(key, still[key]) for key in self.keeps}
 
     def compute(
         self,

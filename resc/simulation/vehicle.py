@@ -107,3 +107,15 @@ def _require_lift(polynomial_n: Sequence[float], mass_kg: float) -> None:
             f"thrust_polynomial_n is {list(polynomial_n)}: four rotors lift {full:.3g} N at full "
             f"throttle, less than the weight of {weight:.3g} N; check it and mass_kg."
         )
+
+
+def hovering(tensors: Mapping[NestedKey, Tensor]) -> dict[NestedKey, Tensor]:
+    """What dynamics keep at the beginning of an episode, per environment.
+
+    Rotor thrusts [n, 4] N that carry the weight; no acceleration [n, 3] m/s^2, world axes.
+    """
+    quarter = tensors[keys.MASS] * (GRAVITY_MPS2 / 4)
+    return {
+        keys.ROTOR_THRUST: quarter.expand(-1, 4),
+        keys.ACCELERATION_W: torch.zeros_like(tensors[keys.VELOCITY_W]),
+    }
