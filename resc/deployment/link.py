@@ -241,7 +241,7 @@ class Link:
             raise self._stopped(f"Stopped by {self.interrupted}.")
         if self.age_s >= self.numbers.stale_s:
             age = f"{1e3 * self.age_s:.0f} ms"
-            silent = now_s() - self.heard_s >= self.numbers.stale_s
+            silent = self.heard_s <= self.state_s  # not a message since
             fact = "Nothing was heard of the vehicle" if silent else "The odometry was not renewed"
             raise self._stopped(f"{fact} for {age} (link.stale_s is {self.numbers.stale_s:g}).")
 

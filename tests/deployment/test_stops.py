@@ -67,7 +67,7 @@ def flying(waiting):
     link.wait(START)
     link.engage(arm=True)
     for _ in range(3):
-        link.fly(np.zeros(3), HOVER_N)
+        link.fly(np.array([0.1, 0.0, 0.0]), HOVER_N)
     assert controller.armed
     assert controller.mode == 6
     return waiting
