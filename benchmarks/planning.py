@@ -16,7 +16,8 @@ import numpy as np
 
 from resc.planning.control_points import control_points
 from resc.planning.grid import segment_is_free
-from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
+from resc.planning.searches.method import PreparedMap
+from resc.planning.searches.search import PlannedPath, Search
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 ORIGIN_M = (0.0, 0.0)
@@ -80,7 +81,7 @@ def main() -> None:
     with np.load(DATA / "quad100.npz") as data:
         maps = np.unpackbits(data["raw_packed"], axis=-1)[..., : data["shape"][2]].astype(bool)
         size_m, clearance_m = float(data["resolution"]), float(data["inflation"])
-    search = VisibilitySearch(clearance_m, size_m)
+    search = Search(clearance_m, size_m)
     charts = [search.prepare(occupancy) for occupancy in maps]
     flights, times = [], []
     for row in csv.DictReader((DATA / "quad100_refs.csv").open()):

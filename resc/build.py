@@ -63,7 +63,9 @@ def build(
             raise ConfigError(
                 f"{path}.{name} is not an argument of {target.__name__}.{nearest(name, known)}"
             )
-        if _holds_parts(value):
+        if isinstance(value, Mapping) and "_target_" in value:
+            value = build(value, f"{path}.{name}", allowed=allowed)
+        elif _holds_parts(value):
             value = _build_parts(value, f"{path}.{name}", allowed)
         arguments[name] = checked(f"{path}.{name}", value, parameters[name].annotation)
     missing = [

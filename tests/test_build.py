@@ -264,3 +264,23 @@ def test_the_same_seed_builds_the_same_pool_and_another_another(compose):
 def test_a_stored_configuration_that_does_not_exist_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"nothing_here.yaml does not exist"):
         load_config(tmp_path / "nothing_here.yaml")
+
+
+def test_a_part_within_a_part_is_built_and_its_path_is_named():
+    search = {
+        "_target_": "resc.planning.route.RoutePlanner",
+        "clearance_m": 0.4,
+        "max_expansions": 1000,
+        "spacing_m": [1.0, 2.0],
+        "nominal_m": 1.5,
+        "method": {"_target_": "resc.planning.searches.paper.Paper", "range_m": 2.0},
+    }
+    assert build(search, "search", resolution_m=0.1).search.method.range_m == 2.0
+    search["method"]["rang_m"] = 2.0
+    with pytest.raises(
+        ConfigError, match=r"search\.method\.rang_m is not an argument of Paper\. Did you mean"
+    ):
+        build(search, "search", resolution_m=0.1)
+    search["method"] = {"_target_": "os.getcwd"}
+    with pytest.raises(ConfigError, match=r"search\.method\._target_ is 'os\.getcwd', outside"):
+        build(search, "search", resolution_m=0.1)

@@ -112,6 +112,7 @@ CASES = {
     "search.nominal_m": [0],
     "search.spacing_m": [[2, 1]],
     "search.rule": ["best"],
+    "search.method": [3, "theta_star"],
     "curriculum.obstacles.share": [0],
     "curriculum.obstacles.first": [2],
     "curriculum.obstacles.levels": [1, 1000000000],

@@ -37,8 +37,8 @@ from resc.evaluation.references import (
 from resc.evaluation.suites import Amount, amounts_of, scenes_to_fly
 from resc.evaluation.table import aligned
 from resc.planning.route import RoutePlanner, planner_for
+from resc.planning.searches.search import PlannedPath
 from resc.planning.time_optimal import Crossing, Limits, solve, solver
-from resc.planning.visibility_search import PlannedPath
 from resc.process import prepare_process
 from resc.run_folder import finish_run, provenance
 from resc.settings import check_settings
@@ -89,7 +89,7 @@ class Bounding:
         planner = planner_for(**nodes, allowed=allowed)
         if planner is None:
             raise ConfigError(
-                "search is none, but the solver starts from a planned path; set search=visibility."
+                "search is none, but the solver starts from a planned path; set search=exact."
             )
         names = scenes_to_fly(config["scenes"], config["suite"], given())
         scenes = compose_scenes(names, config["scene"])

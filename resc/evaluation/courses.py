@@ -211,9 +211,7 @@ def _sample(scene: Scene, name: str, generator: torch.Generator) -> Layout:
 
 
 def _needs_search(name: str) -> ConfigError:
-    return ConfigError(
-        f"scene {name} only knows its goal, and search is none; set search=visibility."
-    )
+    return ConfigError(f"scene {name} only knows its goal, and search is none; set search=exact.")
 
 
 def _shown(point: Float[Tensor, "3"]) -> str:

@@ -1,5 +1,6 @@
 """Routes of many scenes at once, without the interpreter lock: one compiled loop per thread."""
 
+from concurrent.futures import ThreadPoolExecutor
 from math import floor
 from typing import no_type_check
 
@@ -10,10 +11,14 @@ from numba import njit
 
 from resc.maps.cells import cells_of
 from resc.maps.cpu_kernels import share_out
-from resc.planning.cone_scan import build_table
-from resc.planning.control_points import Limits, visible_points
-from resc.planning.corner_astar import FOUND, find_path, workspace
+from resc.planning.control_points import Limits, gives_way_at, visible_points
 from resc.planning.grid import _inflate
+from resc.planning.searches.cone_scan import build_table
+from resc.planning.searches.corner_astar import find_path
+from resc.planning.searches.exact import Exact
+from resc.planning.searches.method import Method
+from resc.planning.searches.open_list import FOUND, workspace
+from resc.planning.searches.search import Search
 from resc.scenes.layout import Layout
 
 ROOM = 32
@@ -33,22 +38,24 @@ def plan_batch(
     *,
     resolution_m: float,
     max_expansions: int,
+    method: Method,
     limits: Limits,
     threads: int,
 ) -> tuple[Routes, Counts]:
     """Control points in x and y [m], and how many; 0 where there is no route.
 
     Each scene is searched at its own `clearance`, so start and goal have to keep it as well. The
-    answers do not depend on `threads`.
+    answers do not depend on `threads`. The exact method runs in one compiled loop per thread;
+    another one is called from Python for every scene, so its threads wait for each other.
     """
+    if not isinstance(method, Exact):
+        return _plan_each(layout, occupied, resolution_m, max_expansions, method, limits, threads)
     radius = layout.clearance[:, 0].double().numpy() / resolution_m
-    last = torch.arange(len(layout)), (layout.route_length[:, 0] - 1).clamp(min=0)
     arguments = (
         occupied,
         cells_of(layout.size, resolution_m).numpy(),
         np.floor(radius * radius + 1e-9).astype(np.int64),  # as `resc.planning.grid.inflate`
-        layout.start_w[:, :2].double().numpy(),
-        layout.route_w[last][:, :2].double().numpy(),
+        *_ends_of(layout),
         layout.origin_w.double().numpy() + 0.5 * resolution_m,
         (float(resolution_m), int(max_expansions), limits),
     )
@@ -59,6 +66,13 @@ def plan_batch(
         if counts.max(initial=0) <= room:
             return routes, counts
         room = int(counts.max())
+
+
+def _ends_of(layout: Layout) -> tuple[Points, Points]:
+    """Starts and goals in x and y [m]."""
+    last = torch.arange(len(layout)), (layout.route_length[:, 0] - 1).clamp(min=0)
+    starts, goals = layout.start_w, layout.route_w[last]
+    return starts[:, :2].double().numpy(), goals[:, :2].double().numpy()
 
 
 @njit(cache=True, nogil=True)
@@ -117,3 +131,40 @@ def _is_free(blocked: Bool[np.ndarray, "h w"], end: tuple[float, float, int, int
     height, width = blocked.shape
     _, _, x, y = end
     return 0 <= x < width and 0 <= y < height and not blocked[y, x]
+
+
+def _plan_each(
+    layout: Layout,
+    occupied: Occupied,
+    resolution_m: float,
+    max_expansions: int,
+    method: Method,
+    limits: Limits,
+    threads: int,
+) -> tuple[Routes, Counts]:
+    """As `plan_batch`, for any method."""
+    shapes = cells_of(layout.size, resolution_m).tolist()
+    clearances, origins = layout.clearance[:, 0].tolist(), layout.origin_w.double().numpy()
+    starts, goals = _ends_of(layout)
+
+    def route(n: int) -> Float64[np.ndarray, "r 2"]:
+        columns, rows = shapes[n]
+        search = Search(clearances[n], resolution_m, max_expansions, method)
+        chart = search.prepare(occupied[n, :rows, :columns])
+        corner = origins[n] + 0.5 * resolution_m
+        frame = (float(corner[0]), float(corner[1]), float(resolution_m))
+        if not all(_is_free(chart.blocked, _end(at[n], frame)) for at in (starts, goals)):
+            return np.empty((0, 2))
+        path = search.plan(chart, starts[n], goals[n], origins[n])
+        if path.status != "found":
+            return np.empty((0, 2))
+        gives_way = gives_way_at(clearances[n], resolution_m)
+        return visible_points(path.points_m, chart.blocked, frame, limits, gives_way)
+
+    with ThreadPoolExecutor(threads) as pool:
+        found = list(pool.map(route, range(len(layout))))
+    counts = np.array([len(points) for points in found], np.int64)
+    routes = np.zeros((len(found), max(ROOM, *counts.tolist()), 2))
+    for row, points in zip(routes, found, strict=True):
+        row[: len(points)] = points
+    return routes, counts

@@ -11,11 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from resc.build import build, resolved
-from resc.errors import ConfigError, PlanningError
+from resc.errors import ConfigError, PlanningError, shown
 from resc.maps.cells import shape_of
 from resc.planning.batch import plan_batch
 from resc.planning.control_points import control_points
-from resc.planning.visibility_search import PlannedPath, PreparedMap, VisibilitySearch
+from resc.planning.searches.method import Method, PreparedMap
+from resc.planning.searches.search import PlannedPath, Search
 from resc.quantities import LARGEST, NotNegative, Positive, Within, checked
 from resc.scenes.layout import Layout, rasterize
 from resc.term import CellSize
@@ -39,6 +40,7 @@ class RoutePlanner:
         spacing_m: Least and greatest distance between control points.
         nominal_m: Distance aimed at on long lines.
         rule: How control points are placed; `released` imitates the released code.
+        method: How paths are found; the exact method if None.
         resolution_m: Edge of a map cell; comes from the environment.
         arrival_radius_m: Horizontal distance from the goal at which a flight counts as arrived;
             comes from the task. No flight may begin there; 0 allows all.
@@ -53,6 +55,7 @@ class RoutePlanner:
         spacing_m: Sequence[Positive],
         nominal_m: Positive,
         rule: str = "visible",
+        method: object = None,
         resolution_m: float,
         arrival_radius_m: float = 0.0,
         arrival_half_height_m: float | None = None,
@@ -65,7 +68,12 @@ class RoutePlanner:
             raise ConfigError(f"nominal_m is {nominal_m}; expected a number above zero.")
         if rule not in ("visible", "released"):
             raise ConfigError(f"rule is '{rule}'; expected 'visible' or 'released'.")
-        self.search = VisibilitySearch(clearance_m, resolution_m, max_expansions)
+        if not isinstance(method, Method | None):
+            raise ConfigError(
+                f"method is {shown(method)}; expected one of the methods in conf/search, such as "
+                "{_target_: resc.planning.searches.theta_star.ThetaStar}."
+            )
+        self.search = Search(clearance_m, resolution_m, max_expansions, method)
         self.spacing_m = (float(spacing_m[0]), float(spacing_m[1]))
         self.nominal_m = float(nominal_m)
         self.rule: Literal["visible", "released"] = rule
@@ -133,6 +141,7 @@ class RoutePlanner:
             rasterize(boxes, origin, shape, resolution, pillars).numpy(),
             resolution_m=resolution,
             max_expansions=self.search.max_expansions,
+            method=self.search.method,
             limits=(*self.spacing_m, self.nominal_m),
             threads=torch.get_num_threads(),
         )
@@ -175,13 +184,19 @@ class RoutePlanner:
         if radius and far <= radius and rise <= half_height:
             above = f", {rise:g} m above or below," if half_height else ""
             raise PlanningError(
-                f"Start {_shown(start)} m is {far:g} m{above} from the goal {_shown(goal)} m, and "
+                f"Start {_point(start)} m is {far:g} m{above} from the goal {_point(goal)} m, and "
                 f"within {radius:g} m a flight counts as arrived; move them apart or lower "
                 "task.control_points.radius_m."
             )
 
     def _require_found(self, path: PlannedPath, start: list[float], goal: list[float]) -> None:
         ends = f"from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) m"
+        method = self.search.method
+        if path.status == "unreachable" and not method.complete:
+            raise PlanningError(
+                f"{type(method).__name__} finds no path {ends} at {self.search.clearance_m:g} m "
+                "from the obstacles, but it misses some that there are; plan with search=exact."
+            )
         if path.status == "unreachable":
             raise PlanningError(
                 f"No path {ends} keeps {self.search.clearance_m:g} m from the obstacles; "
@@ -242,5 +257,5 @@ def _number(value: object) -> float | None:
     return float(value)
 
 
-def _shown(point: Sequence[float]) -> str:
+def _point(point: Sequence[float]) -> str:
     return f"({', '.join(f'{value:g}' for value in point)})"

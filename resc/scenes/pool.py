@@ -200,7 +200,7 @@ class ScenePool:
         if self.plan is None:
             raise ConfigError(
                 f"{type(self.scene).__name__} knows no route, only a goal; give it a planner "
-                "(search=visibility)."
+                "(search=exact)."
             )
         return self.plan(layout)
 

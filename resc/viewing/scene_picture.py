@@ -37,7 +37,7 @@ WHOLE = {"points": 1000, "on_the_way": 0.0}
 
 def draw(path: Path, scene: Mapping[str, Any], examples: int, allowed: list[str]) -> None:
     """Draws `examples` of each family of a scene's configuration, a row each."""
-    search = load_config(CONF / "search/visibility.yaml")
+    search = load_config(CONF / "search/exact.yaml")
     planner: RoutePlanner = build(search, "search", resolution_m=0.1)
     rows = {name: node for name, node in scene["families"].items() if node is not None}
     size = (examples * EDGE_INCHES, len(rows) * EDGE_INCHES)

@@ -9,7 +9,7 @@ import pytest
 from resc.errors import PlanningError
 from resc.planning.control_points import control_points
 from resc.planning.grid import inflate, segment_is_free
-from resc.planning.visibility_search import VisibilitySearch
+from resc.planning.searches.search import Search
 
 OPEN = np.zeros((100, 100), bool)
 
@@ -72,7 +72,7 @@ def test_path_without_points_is_refused():
 
 
 def test_visible_points_of_quad100_are_free_and_spaced(quad100):
-    search = VisibilitySearch(quad100.clearance_m, quad100.resolution_m)
+    search = Search(quad100.clearance_m, quad100.resolution_m)
     prepared = [search.prepare(occupancy) for occupancy in quad100.occupancy]
     gaps, stretch, strict = [], [], []
     for query in quad100.queries:
@@ -96,7 +96,7 @@ def test_visible_points_of_quad100_are_free_and_spaced(quad100):
 
 def test_points_ahead_of_an_arbitrary_start_are_free_too(quad100):
     random = np.random.default_rng(10)
-    search = VisibilitySearch(quad100.clearance_m, quad100.resolution_m)
+    search = Search(quad100.clearance_m, quad100.resolution_m)
     for occupancy in quad100.occupancy[:30]:
         chart = search.prepare(occupancy)
         free = random.permutation(np.argwhere(~chart.blocked))[:2, ::-1]
@@ -120,7 +120,7 @@ def test_released_rule_loses_the_corner_that_the_visible_rule_keeps():
     occupancy = np.zeros((100, 100), bool)
     occupancy[:60, 48:52] = True
     blocked = inflate(occupancy, 4.0)
-    search = VisibilitySearch()
+    search = Search()
     path = search.plan(search.prepare(occupancy), (4.25, 5.05), (5.75, 5.05))
     released = np.vstack([path.points_m[:1], resample(path.points_m, blocked, rule="released")])
     visible = np.vstack([path.points_m[:1], resample(path.points_m, blocked)])
@@ -133,7 +133,7 @@ def test_points_of_a_slot_one_cell_wide_are_merged_where_lines_come_one_cell_nea
     blocked[:30, :30] = blocked[70:, 70:] = False  # two rooms, and a diagonal slot between them
     for n in range(84):
         blocked[29 + n // 2, 29 + (n + 1) // 2] = False
-    search = VisibilitySearch(0.0, 0.1)  # blocked as it is, whatever clearance that stands for
+    search = Search(0.0, 0.1)  # blocked as it is, whatever clearance that stands for
     start, goal = (2.05, 2.05), (8.05, 8.05)
     prepared = search.prepare(blocked)
     path = search.plan(prepared, start, goal)
@@ -152,7 +152,7 @@ def test_no_line_leads_through_a_thin_wall_without_clearance(thick):
         blocked[:, x : x + thick] = True
         gap = slice(46, 48) if n % 2 else slice(52, 54)
         blocked[gap, x : x + thick] = False
-    search = VisibilitySearch(0.0, 0.1)
+    search = Search(0.0, 0.1)
     prepared = search.prepare(blocked)
     start, goal = (1.05, 5.05), (9.55, 5.05)
     path = search.plan(prepared, start, goal)

@@ -1,6 +1,7 @@
 """Layouts that know only goals get routes, or one sentence that says why not."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -9,6 +10,12 @@ from resc.errors import ConfigError, PlanningError
 from resc.math.geometry import box_distance
 from resc.math.sampling import generator_for
 from resc.planning.route import RoutePlanner, planner_for
+from resc.planning.searches.astar import AStar
+from resc.planning.searches.exact import Exact
+from resc.planning.searches.jps import JumpPoints
+from resc.planning.searches.paper import Paper
+from resc.planning.searches.released import Released
+from resc.planning.searches.theta_star import ThetaStar
 from resc.scenes.layout import concatenate
 from resc.scenes.named import NamedScene
 from resc.setup import set_up
@@ -163,3 +170,47 @@ def test_the_tasks_own_distance_counts(compose):
         set_up(config, size=2, seed=0)
     config["task"]["control_points"]["radius_m"] = 0.1
     set_up(config, size=2, seed=0)
+
+
+METHODS = [Exact(), Paper(), Released(), ThetaStar(), AStar(), JumpPoints(pulled=True)]
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: type(method).__name__)
+def test_every_method_lays_routes_and_says_why_not(method):
+    settings = {**SETTINGS, "max_expansions": 100_000}
+    planner = RoutePlanner(**settings, resolution_m=0.1, method=method)
+    planned = planner(layout_of(boxes=[[3.0, -1.0, 0.5, 4.0]]))
+    length = int(planned.route_length)
+    torch.testing.assert_close(planned.route_w[0, length - 1], torch.tensor([5.0, 1.0, 1.3]))
+    assert planner.paths[0].length_m > 5
+    walled = r"No path from \(1, 1\)" if method.complete else "but it misses some that there are"
+    with pytest.raises(PlanningError, match=walled):
+        planner(layout_of(boxes=[[3.0, -1.0, 0.5, 6.0]]))
+
+
+@pytest.mark.parametrize("method", METHODS[1:], ids=lambda method: type(method).__name__)
+def test_scenes_with_a_clearance_are_planned_the_same_in_any_number_of_threads(method):
+    layout = concatenate([layout_of(count=3), layout_of(boxes=[[3.0, -1.0, 0.5, 6.0]])])
+    layout = replace(layout, clearance=torch.full((4, 1), 0.4))
+    planner = RoutePlanner(**SETTINGS, resolution_m=0.1, method=method)
+    threads, routes = torch.get_num_threads(), []
+    try:
+        for count in (1, 3):
+            torch.set_num_threads(count)
+            routes.append(planner(layout))
+    finally:
+        torch.set_num_threads(threads)
+    assert torch.equal(routes[0].route_w, routes[1].route_w)
+    assert (routes[0].route_length[:3] > 1).all()
+    assert int(routes[0].route_length[3]) == 0
+    alone = planner(layout_of())
+    assert torch.equal(alone.route_w[0], routes[0].route_w[0, : int(alone.route_length)])
+
+
+def test_a_stored_configuration_without_a_method_plans_exactly(planner):
+    assert isinstance(planner.search.method, Exact)
+
+
+def test_what_is_no_method_is_refused():
+    with pytest.raises(ConfigError, match=r"method is 'theta_star'; expected one of the methods"):
+        RoutePlanner(**SETTINGS, resolution_m=0.1, method="theta_star")

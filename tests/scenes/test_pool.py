@@ -103,7 +103,7 @@ def test_a_checkpoint_does_not_change_with_the_pool(pool):
 
 @pytest.mark.parametrize("scene", ["paper1_map11", "random_boxes"])
 def test_scenes_with_nothing_but_a_goal_need_a_planner(compose, scene):
-    with pytest.raises(ConfigError, match="search=visibility"):
+    with pytest.raises(ConfigError, match="search=exact"):
         make_pool(compose, f"scene={scene}", "~search", size=2)
 
 

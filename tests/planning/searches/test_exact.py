@@ -9,11 +9,11 @@ from scipy.sparse.csgraph import shortest_path
 
 from resc.errors import ConfigError, PlanningError
 from resc.planning.grid import line_is_free
-from resc.planning.visibility_search import PlannedPath, VisibilitySearch
+from resc.planning.searches.search import PlannedPath, Search
 
 
 def plan_cells(
-    search: VisibilitySearch, blocked: np.ndarray, start: tuple[int, int], goal: tuple[int, int]
+    search: Search, blocked: np.ndarray, start: tuple[int, int], goal: tuple[int, int]
 ) -> PlannedPath:
     """Path between two cell centres of a map with cells of 1 m."""
     return search.plan(search.prepare(blocked), centre(start), centre(goal))
@@ -33,12 +33,12 @@ def random_free_pair(random: np.random.Generator, blocked: np.ndarray) -> list[t
 
 
 @pytest.fixture
-def unit_search() -> VisibilitySearch:
+def unit_search() -> Search:
     """Search on cells of 1 m without clearance, so that occupied and blocked are the same."""
-    return VisibilitySearch(clearance_m=0.0, resolution_m=1.0)
+    return Search(clearance_m=0.0, resolution_m=1.0)
 
 
-def test_matches_brute_force_over_all_free_cells_of_small_maps(unit_search: VisibilitySearch):
+def test_matches_brute_force_over_all_free_cells_of_small_maps(unit_search: Search):
     random = np.random.default_rng(4)
     for _ in range(60):
         height, width = random.integers(1, 9, size=2)
@@ -59,7 +59,7 @@ def test_matches_brute_force_over_all_free_cells_of_small_maps(unit_search: Visi
 
 
 def test_every_quad100_path_is_free_taut_and_as_short_as_the_reference(quad100):
-    search = VisibilitySearch(quad100.clearance_m, quad100.resolution_m)
+    search = Search(quad100.clearance_m, quad100.resolution_m)
     size_m = quad100.resolution_m
     prepared = [search.prepare(occupancy) for occupancy in quad100.occupancy]
     for query in quad100.queries:
@@ -95,7 +95,7 @@ def assert_turns_round_an_obstacle(blocked: np.ndarray, a, b, c) -> None:
     assert any(blocked[b[1] + v, b[0] + u] for u, v in inner)
 
 
-def test_length_is_the_same_backwards_mirrored_transposed_and_padded(unit_search: VisibilitySearch):
+def test_length_is_the_same_backwards_mirrored_transposed_and_padded(unit_search: Search):
     random = np.random.default_rng(5)
     for _ in range(40):
         blocked = random.random((20, 27)) < 0.3
@@ -115,7 +115,7 @@ def test_length_is_the_same_backwards_mirrored_transposed_and_padded(unit_search
             )
 
 
-def test_one_more_obstacle_never_shortens_a_path(unit_search: VisibilitySearch):
+def test_one_more_obstacle_never_shortens_a_path(unit_search: Search):
     random = np.random.default_rng(6)
     for _ in range(60):
         blocked = random.random((15, 15)) < 0.25
@@ -129,14 +129,14 @@ def test_one_more_obstacle_never_shortens_a_path(unit_search: VisibilitySearch):
 
 
 def test_empty_map_gives_the_straight_line():
-    search = VisibilitySearch()
+    search = Search()
     path = search.plan(search.prepare(np.zeros((50, 80), bool)), (0.51, 4.98), (7.33, 0.02))
     assert path.points_m.tolist() == [[0.51, 4.98], [7.33, 0.02]]
     assert path.length_m == pytest.approx(hypot(6.82, 4.96), rel=1e-12)
     assert path.expansions == 0
 
 
-def test_path_goes_round_both_ends_of_a_thick_wall(unit_search: VisibilitySearch):
+def test_path_goes_round_both_ends_of_a_thick_wall(unit_search: Search):
     blocked = np.zeros((5, 7), bool)
     blocked[:4, 2:5] = True
     path = plan_cells(unit_search, blocked, (0, 0), (6, 0))
@@ -144,20 +144,20 @@ def test_path_goes_round_both_ends_of_a_thick_wall(unit_search: VisibilitySearch
     assert path.length_m == pytest.approx(4 + 2 * sqrt(17))
 
 
-def test_start_equal_to_goal_gives_a_path_of_no_length(unit_search: VisibilitySearch):
+def test_start_equal_to_goal_gives_a_path_of_no_length(unit_search: Search):
     path = unit_search.plan(unit_search.prepare(np.zeros((1, 1), bool)), (0.3, 0.6), (0.3, 0.6))
     assert path.points_m.tolist() == [[0.3, 0.6], [0.3, 0.6]]
     assert (path.status, path.length_m) == ("found", 0.0)
 
 
-def test_two_points_in_one_cell_are_joined_directly(unit_search: VisibilitySearch):
+def test_two_points_in_one_cell_are_joined_directly(unit_search: Search):
     blocked = np.array([[False, True]])
     path = unit_search.plan(unit_search.prepare(blocked), (0.1, 0.2), (0.9, 0.8))
     assert path.points_m.tolist() == [[0.1, 0.2], [0.9, 0.8]]
 
 
 def test_neighbours_are_one_cell_apart_but_not_through_a_diagonal_gap(
-    unit_search: VisibilitySearch,
+    unit_search: Search,
 ):
     blocked = np.array([[False, True], [False, False]])
     assert plan_cells(unit_search, blocked, (0, 0), (0, 1)).length_m == 1.0
@@ -167,7 +167,7 @@ def test_neighbours_are_one_cell_apart_but_not_through_a_diagonal_gap(
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (9, 1)])
-def test_map_of_one_row_or_column(unit_search: VisibilitySearch, shape: tuple[int, int]):
+def test_map_of_one_row_or_column(unit_search: Search, shape: tuple[int, int]):
     blocked = np.zeros(shape, bool)
     far = (shape[1] - 1, shape[0] - 1)
     assert plan_cells(unit_search, blocked, (0, 0), far).length_m == 8.0
@@ -176,13 +176,13 @@ def test_map_of_one_row_or_column(unit_search: VisibilitySearch, shape: tuple[in
     assert (path.status, path.length_m, path.points_m.shape) == ("unreachable", inf, (0, 2))
 
 
-def test_path_may_follow_the_border_of_the_map(unit_search: VisibilitySearch):
+def test_path_may_follow_the_border_of_the_map(unit_search: Search):
     blocked = np.zeros((6, 6), bool)
     blocked[1:5, 1:5] = True
     assert plan_cells(unit_search, blocked, (0, 0), (5, 5)).length_m == 10.0
 
 
-def test_path_through_a_spiral_one_cell_wide(unit_search: VisibilitySearch):
+def test_path_through_a_spiral_one_cell_wide(unit_search: Search):
     rows = [
         "........",
         "#######.",
@@ -202,20 +202,20 @@ def test_path_through_a_spiral_one_cell_wide(unit_search: VisibilitySearch):
 def test_budget_is_told_from_unreachable():
     blocked = np.random.default_rng(8).random((60, 60)) < 0.25
     blocked[0, 0] = blocked[59, 59] = False
-    full = plan_cells(VisibilitySearch(0.0, 1.0), blocked, (0, 0), (59, 59))
+    full = plan_cells(Search(0.0, 1.0), blocked, (0, 0), (59, 59))
     assert full.status == "found"
     assert full.expansions > 10
-    short = plan_cells(VisibilitySearch(0.0, 1.0, max_expansions=10), blocked, (0, 0), (59, 59))
+    short = plan_cells(Search(0.0, 1.0, max_expansions=10), blocked, (0, 0), (59, 59))
     assert (short.status, short.expansions, short.length_m) == ("budget", 10, inf)
 
 
 def test_answers_do_not_depend_on_earlier_queries_or_map_sizes():
     random = np.random.default_rng(8)
-    used = VisibilitySearch(0.0, 1.0)
+    used = Search(0.0, 1.0)
     for shape in [(30, 30), (7, 40), (50, 9), (30, 30), (64, 64)]:
         blocked = random.random(shape) < 0.3
         start, goal = random_free_pair(random, blocked)
-        fresh = plan_cells(VisibilitySearch(0.0, 1.0), blocked, start, goal)
+        fresh = plan_cells(Search(0.0, 1.0), blocked, start, goal)
         again = plan_cells(used, blocked, start, goal)
         np.testing.assert_array_equal(again.points_m, fresh.points_m)
         assert again.expansions == fresh.expansions
@@ -224,8 +224,8 @@ def test_answers_do_not_depend_on_earlier_queries_or_map_sizes():
 def test_full_heap_grows_without_changing_the_answer():
     blocked = np.random.default_rng(8).random((60, 60)) < 0.25
     blocked[0, 0] = blocked[59, 59] = False
-    expected = plan_cells(VisibilitySearch(0.0, 1.0), blocked, (0, 0), (59, 59))
-    small = VisibilitySearch(0.0, 1.0)
+    expected = plan_cells(Search(0.0, 1.0), blocked, (0, 0), (59, 59))
+    small = Search(0.0, 1.0)
     small._reserve(cells=blocked.size, heap=1)
     path = plan_cells(small, blocked, (0, 0), (59, 59))
     assert path.status == "found"
@@ -233,7 +233,7 @@ def test_full_heap_grows_without_changing_the_answer():
 
 
 def test_exact_ends_link_to_their_cells_where_an_obstacle_is_next_to_them(
-    unit_search: VisibilitySearch,
+    unit_search: Search,
 ):
     blocked = np.zeros((3, 9), bool)
     blocked[0, 3:6] = True
@@ -249,7 +249,7 @@ def test_exact_ends_link_to_their_cells_where_an_obstacle_is_next_to_them(
 def test_origin_shifts_the_path_and_a_numpy_point_is_accepted():
     occupancy = np.zeros((100, 100), bool)
     occupancy[30:70, 45:55] = True
-    search = VisibilitySearch()
+    search = Search()
     prepared = search.prepare(occupancy)
     here = search.plan(prepared, (1.0, 5.0), (9.0, 5.0))
     there = search.plan(prepared, np.array([-4.0, 3.0]), np.array([4.0, 3.0]), (-5.0, -2.0))
@@ -260,7 +260,7 @@ def test_origin_shifts_the_path_and_a_numpy_point_is_accepted():
 def test_start_within_the_clearance_leaves_it_by_the_nearest_free_cell(point: tuple[float, float]):
     occupancy = np.zeros((100, 100), bool)
     occupancy[40:67, 49:60] = True
-    search = VisibilitySearch()
+    search = Search()
     prepared = search.prepare(occupancy)
     out = search.plan(prepared, point, (1.05, 1.05))
     back = search.plan(prepared, (1.05, 1.05), point)
@@ -280,7 +280,7 @@ def test_way_out_of_the_clearance_never_crosses_a_thin_wall():
     occupancy = np.zeros((40, 40), bool)
     occupancy[5:, 20] = True  # wall, with the drone in a narrow blind alley to the right of it
     occupancy[5:, 25] = True
-    search = VisibilitySearch()
+    search = Search()
     prepared = search.prepare(occupancy)
     path = search.plan(prepared, (2.25, 3.05), (1.05, 3.05))
     cells = cells_of(path, 0.1)
@@ -295,7 +295,7 @@ def test_snapping_prefers_free_space_that_is_joined_to_the_goal():
     occupancy = np.zeros((20, 40), bool)
     occupancy[:, 20] = True
     occupancy[10, 20] = False  # a hole too narrow for the clearance
-    search = VisibilitySearch()
+    search = Search()
     path = search.plan(search.prepare(occupancy), (2.05, 1.05), (3.55, 0.55))
     other = search.plan(search.prepare(occupancy), (2.05, 1.05), (0.55, 0.55))
     assert (path.status, other.status) == ("found", "found")
@@ -304,7 +304,7 @@ def test_snapping_prefers_free_space_that_is_joined_to_the_goal():
 def test_start_with_no_free_cell_around_it_is_unreachable():
     occupancy = np.ones((20, 20), bool)
     occupancy[9:12, 9:12] = False
-    search = VisibilitySearch()
+    search = Search()
     path = search.plan(search.prepare(occupancy), (1.05, 1.05), (1.15, 1.05))
     assert (path.status, path.snapped, path.length_m) == ("unreachable", True, inf)
 
@@ -321,7 +321,7 @@ def test_start_with_no_free_cell_around_it_is_unreachable():
 def test_ends_that_no_path_can_have_are_refused(start, goal, message: str):
     occupancy = np.zeros((50, 100), bool)
     occupancy[30, 20] = True
-    search = VisibilitySearch()
+    search = Search()
     with pytest.raises(PlanningError, match=message):
         search.plan(search.prepare(occupancy), start, goal)
 
@@ -329,12 +329,12 @@ def test_ends_that_no_path_can_have_are_refused(start, goal, message: str):
 def test_point_on_the_edge_of_a_cell_belongs_to_the_cell_above_it():
     occupancy = np.zeros((10, 10), bool)
     occupancy[2, 3] = True
-    search = VisibilitySearch()
+    search = Search()
     with pytest.raises(PlanningError, match="column 3 of row 2"):
         search.plan(search.prepare(occupancy), (0.3, 0.2), (0.95, 0.95))
 
 
-def test_later_changes_of_the_occupancy_do_not_reach_a_prepared_map(unit_search: VisibilitySearch):
+def test_later_changes_of_the_occupancy_do_not_reach_a_prepared_map(unit_search: Search):
     occupancy = np.zeros((3, 3), bool)
     prepared = unit_search.prepare(occupancy)
     occupancy[:] = True
@@ -343,6 +343,6 @@ def test_later_changes_of_the_occupancy_do_not_reach_a_prepared_map(unit_search:
 
 def test_impossible_settings_are_refused():
     with pytest.raises(ConfigError, match=r"clearance_m of the search is -0\.1"):
-        VisibilitySearch(clearance_m=-0.1)
+        Search(clearance_m=-0.1)
     with pytest.raises(ConfigError, match=r"resolution_m of the search is 0\.0"):
-        VisibilitySearch(resolution_m=0.0)
+        Search(resolution_m=0.0)
