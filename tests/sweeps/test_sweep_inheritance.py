@@ -43,7 +43,7 @@ def own(tmp_path):
     ("arguments", "expected"),
     [
         (
-            ("--config-dir", "my conf", "-cn", "mine", "~reward.time", "hydra.verbose=true"),
+            ("--config-dir", "my conf", "-cn", "mine", "~reward.time", "hydra.verbose=[resc]"),
             {"reward.progress.weight": 7.0, "model.hidden": [16], "reward.time": None},
         ),
         (
