@@ -17,15 +17,13 @@ import type_checks  # noqa: F401 - before anything of resc
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.core.plugins import Plugins
-from hydra.plugins.config_source import ConfigResult, ConfigSource
 from older_format import as_format_3  # noqa: F401 - fixtures for every test
 from omegaconf import DictConfig, OmegaConf
+from quick_hydra import hasten
 from short_courses import (  # noqa: F401
     corridor,
     evaluation,
@@ -66,29 +64,7 @@ def pytest_unconfigure() -> None:
     gc.unfreeze()
 
 
-def remember_files() -> None:
-    """Lets Hydra read each file of a configuration once, which else is a third of composing."""
-    Plugins.instance()  # loads its sources again, under the same names
-    for scheme in ("file", "pkg"):
-        remember_those_of(SourcesRegistry.instance().resolve(scheme))
-
-
-def remember_those_of(source: type[ConfigSource]) -> None:
-    """Lets a source of configurations read each file once, as long as it does not change."""
-    read = source.load_config
-    known: dict[tuple[str, str, int], bytes] = {}
-
-    def load(self: ConfigSource, config_path: str) -> ConfigResult:
-        file = Path(self.path, self._normalize_file_name(config_path))
-        key = (self.path, str(file), file.stat().st_mtime_ns if file.exists() else 0)
-        if key not in known:
-            known[key] = pickle.dumps(read(self, config_path))
-        return pickle.loads(known[key])  # a fifth of what copying takes
-
-    source.load_config = load
-
-
-remember_files()
+hasten()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
