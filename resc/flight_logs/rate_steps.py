@@ -1,7 +1,7 @@
 """Steps of the body rate recorded from a flight controller, and a model's answer to them."""
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,31 +72,50 @@ def compare(
         dynamics: Of one of conf/dynamics.
     """
     flown = Loop(*(part_of(*p) for p in zip(GROUPS, (vehicle, rate_loop, dynamics), strict=True)))
-    return [_step(name, array.astype(np.float64), flown) for name, array in recorded.items()]
+    arrays = [array.astype(np.float64) for array in recorded.values()]
+    answers = zip(recorded, arrays, _answers(arrays, flown), strict=True)
+    return [_step(name, array, rates) for name, array, rates in answers]
 
 
 GROUPS = ("vehicle", "rate_loop", "dynamics")
 
 
-def _step(name: str, array: Float[np.ndarray, "t _"], flown: Loop) -> Step:
-    """One recorded step, its set-points given to a model."""
+def _answers(
+    arrays: Sequence[Float[np.ndarray, "t _"]], flown: Loop
+) -> list[Float[np.ndarray, "t 3"]]:
+    """The rates of the model [rad/s, FRD] at the recorded times; all steps fly at once."""
+    times_s = [array[:, TIME] for array in arrays]
+    asked, rates = (
+        [torch.from_numpy(array[:, part].astype(np.float32) * FRD) for array in arrays]
+        for part in (SET_POINT, RATE)
+    )
+    throttle = [torch.from_numpy(array[:, [THRUST]].astype(np.float32)) for array in arrays]
+    thrust = [4 * flown.vehicle.thrust(each).clamp(min=0) for each in throttle]
+
+    def at(since_s: float) -> tuple[torch.Tensor, torch.Tensor]:
+        # A run of the loop does not see yet what is logged in the moment in which it begins.
+        seen = [np.searchsorted(time_s, time_s[0] + since_s - 1e-6) - 1 for time_s in times_s]
+        places = [max(int(place), 0) for place in seen]
+        at_once = [
+            torch.stack([each[place] for each, place in zip(of_all, places, strict=True)])
+            for of_all in (asked, thrust)
+        ]
+        return at_once[0], at_once[1]
+
+    longest_s = max(float(time_s[-1] - time_s[0]) for time_s in times_s)
+    since_s, found = flown.rates(at, (0.0, longest_s), torch.stack([each[0] for each in rates]))
+    return [
+        np.stack([np.interp(time_s - time_s[0], since_s.numpy(), rate) for rate in row.T], 1) * FRD
+        for time_s, row in zip(times_s, found.numpy(), strict=True)
+    ]
+
+
+def _step(name: str, array: Float[np.ndarray, "t _"], rates: Float[np.ndarray, "t 3"]) -> Step:
+    """One recorded step and the rates that the model answers with."""
     kind = name.split("/")[0]
     axis, amplitude = AXES.index(kind.split("_")[0]), float(kind.split("_")[1])
-    time_s = array[:, TIME]
-    asked = torch.from_numpy(array[:, SET_POINT].astype(np.float32) * FRD)
-    throttle = torch.from_numpy(array[:, THRUST].astype(np.float32))
-    thrust = 4 * flown.vehicle.thrust(throttle).clamp(min=0)
-
-    def at(time: float) -> tuple[torch.Tensor, torch.Tensor]:
-        # A run of the loop does not see yet what is logged in the moment in which it begins.
-        place = max(int(np.searchsorted(time_s, time - 1e-6)) - 1, 0)
-        return asked[place : place + 1], thrust[place].reshape(1, 1)
-
-    begun = torch.from_numpy(array[:1, RATE].astype(np.float32) * FRD)
-    fine, rates = flown.rates(at, (float(time_s[0]), float(time_s[-1])), begun)
-    modelled = np.interp(time_s, fine.numpy(), rates[0, :, axis].numpy() * FRD[axis])
-    columns = (array[:, 1 + axis], array[:, 5 + axis], modelled)
-    return Step(kind, time_s, *(column / amplitude for column in columns))
+    columns = (array[:, 1 + axis], array[:, 5 + axis], rates[:, axis])
+    return Step(kind, array[:, TIME], *(column / amplitude for column in columns))
 
 
 def read_steps(path: Path) -> dict[str, Float[np.ndarray, "t _"]]:

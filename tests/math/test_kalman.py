@@ -30,13 +30,15 @@ def step(mean, covariance, position, used, push=0.0, *, noise=1e-6, wander=None)
     )
 
 
-@pytest.mark.parametrize("steps", [100, pytest.param(1000, marks=pytest.mark.slow)])
-def test_a_batch_of_filters_is_filterpy_step_by_step(steps):
+@pytest.mark.parametrize(
+    ("steps", "count"), [(100, 8), pytest.param(1000, COUNT, marks=pytest.mark.slow)]
+)
+def test_a_batch_of_filters_is_filterpy_step_by_step(steps, count):
     rng = np.random.default_rng(0)
-    measured = np.cumsum(rng.normal(size=(steps, COUNT, AXES)), 0) * 0.02
-    pushes = rng.normal(size=(steps, COUNT, AXES))
-    arrives = rng.random((steps, COUNT, 1)) > 0.1
-    filters = [[KalmanFilter(dim_x=2, dim_z=1) for _ in range(AXES)] for _ in range(COUNT)]
+    measured = np.cumsum(rng.normal(size=(steps, count, AXES)), 0) * 0.02
+    pushes = rng.normal(size=(steps, count, AXES))
+    arrives = rng.random((steps, count, 1)) > 0.1
+    filters = [[KalmanFilter(dim_x=2, dim_z=1) for _ in range(AXES)] for _ in range(count)]
     for one in (each for row in filters for each in row):
         one.F = np.array([[1, DT_S], [0, 1]])
         one.B = np.array([[DT_S**2 / 2], [DT_S]])
@@ -44,8 +46,8 @@ def test_a_batch_of_filters_is_filterpy_step_by_step(steps):
         one.Q = Q_discrete_white_noise(2, DT_S, 0.6**2)
         one.R *= 1e-6
         one.P = np.diag([1e-6, 1e-2])
-    mean = torch.zeros(COUNT, 2, AXES, dtype=torch.float64)
-    covariance = torch.diag(torch.tensor([1e-6, 1e-2], dtype=torch.float64)).expand(COUNT, 2, 2)
+    mean = torch.zeros(count, 2, AXES, dtype=torch.float64)
+    covariance = torch.diag(torch.tensor([1e-6, 1e-2], dtype=torch.float64)).expand(count, 2, 2)
     worst = 0.0
     for t in range(steps):
         mean, covariance = step(
@@ -55,7 +57,7 @@ def test_a_batch_of_filters_is_filterpy_step_by_step(steps):
             torch.from_numpy(arrives[t]),
             torch.from_numpy(pushes[t]).unsqueeze(1),
         )
-        for row, column in np.ndindex(COUNT, AXES):
+        for row, column in np.ndindex(count, AXES):
             one = filters[row][column]
             one.predict(u=pushes[t, row, column])
             one.update(measured[t, row, column] if arrives[t, row, 0] else None)
