@@ -1,17 +1,12 @@
 """Every module run with `python -m` says how, and answers a wrong argument in a sentence."""
 
 import importlib
-import multiprocessing
-import os
 import runpy
 import sys
-import tempfile
-from pathlib import Path
 
 import pytest
-from hydra.core.global_hydra import GlobalHydra
+from forked import ROOT, forked
 
-ROOT = Path(__file__).parents[1]
 GUARD = 'if __name__ == "__main__":'
 MAINS = sorted(
     path for path in (ROOT / "resc").rglob("*.py") if GUARD in path.read_text(encoding="utf-8")
@@ -28,35 +23,10 @@ WRONG = {
 """Arguments that have the right form."""
 
 
-def run_and_end(path, arguments, out, errors):
-    """The body of a process of its own: its streams go to files, its status to the parent."""
-    for number, file in ((1, out), (2, errors)):
-        os.dup2(file.fileno(), number)
-    sys.stdout, sys.stderr = (
-        os.fdopen(number, "w", closefd=False, buffering=1) for number in (1, 2)
-    )
-    os.chdir(ROOT)
-    GlobalHydra.instance().clear()
-    sys.argv = [str(path), *arguments]
-    runpy.run_path(str(path), run_name="__main__")
-
-
-def forked(path, arguments):
-    """A module run in a copy of this process, which has imported what it needs already."""
-    importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
-    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as errors:
-        context = multiprocessing.get_context("fork")
-        process = context.Process(target=run_and_end, args=(path, arguments, out, errors))
-        process.start()
-        process.join(timeout=120)
-        assert process.exitcode is not None
-        told = [file.seek(0) or file.read() for file in (out, errors)]
-    return process.exitcode, *told
-
-
 def run(path, *arguments, monkeypatch, capsys):
     """A module run as `python -m` does: exit status, output, errors."""
     if path.name in OF_HYDRA:
+        importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
         return forked(path, arguments)
     monkeypatch.setattr(sys, "argv", [str(path), *arguments])
     with pytest.raises(SystemExit) as ended:

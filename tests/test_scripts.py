@@ -9,6 +9,7 @@ import warnings
 from pathlib import Path
 
 import pytest
+from forked import forked
 
 import train
 from resc.starting.launch import launch
@@ -16,21 +17,20 @@ from resc.starting.launch import launch
 ROOT = Path(__file__).parents[1]
 
 
-def unread(*arguments):
-    """What is said on standard error where nobody reads standard output; the status."""
+@pytest.fixture
+def unread():
+    """What is written to, and nobody reads."""
     read, write = os.pipe()
     os.close(read)
-    command = [sys.executable, *arguments]
-    done = subprocess.run(
-        command, stdout=write, stderr=subprocess.PIPE, cwd=ROOT, text=True, timeout=100
-    )
+    yield write
     os.close(write)
-    return done.stderr, done.returncode
 
 
-def test_what_shows_something_ends_quietly_where_its_reader_has_left():
-    assert unread("train.py", "--info", "defaults") == ("", -signal.SIGPIPE)
-    assert unread("-m", "resc.log_command", "--help")[0] == ""
+def test_what_shows_something_ends_quietly_where_its_reader_has_left(unread):
+    code, _, told = forked(ROOT / "train.py", ("--info", "defaults"), out=unread)
+    assert (code, told) == (-signal.SIGPIPE, "")
+    _, _, told = forked(ROOT / "resc" / "log_command" / "__main__.py", ("--help",), out=unread)
+    assert told == ""
 
 
 def test_warnings_of_other_packages_stay_out_of_the_progress_bar(monkeypatch):
