@@ -63,7 +63,7 @@ def build(
             raise ConfigError(
                 f"{path}.{name} is not an argument of {target.__name__}.{nearest(name, known)}"
             )
-        if isinstance(value, Mapping) and "_target_" in value:
+        if _is_part(value):
             value = build(value, f"{path}.{name}", allowed=allowed)
         elif _holds_parts(value):
             value = _build_parts(value, f"{path}.{name}", allowed)
@@ -89,10 +89,15 @@ def build(
     return made
 
 
+def _is_part(value: Any) -> bool:
+    """Whether a setting is itself a node to be built."""
+    return isinstance(value, Mapping) and "_target_" in value
+
+
 def _holds_parts(value: Any) -> bool:
     """Whether a setting is a mapping of nodes, each to be built; null leaves one out."""
     nodes = [node for node in value.values() if node] if isinstance(value, Mapping) else []
-    return bool(nodes) and any(isinstance(node, Mapping) and "_target_" in node for node in nodes)
+    return any(_is_part(node) for node in nodes)
 
 
 def _build_parts(nodes: Mapping[str, Any], path: str, allowed: Iterable[str]) -> dict[str, Any]:

@@ -143,6 +143,10 @@ GYRO_STREAM = _declare(
     ("variation", "gyro_stream"), (3,), "-", "where the sequence of its noise stands", torch.int64
 )
 
+BATTERY_CHARGE = _declare(
+    ("battery", "charge"), (1,), "-", "share of the full charge, where a battery drives the rotors"
+)
+
 WIND_W = _declare(("air", "wind_w"), (3,), "m/s", "mean wind of the episode, where it is drawn")
 GUST_W = _declare(
     ("air", "gust_w"),

@@ -81,7 +81,17 @@ def checked(path: str, value: Any, annotation: Any) -> Any:  # noqa: ANN401 - of
         if not isinstance(value, list | tuple):
             raise ConfigError(f"{path} is {shown(value)}; expected a list.")
         return [checked(f"{path}[{number}]", part, inner[0]) for number, part in enumerate(value)]
+    if _is_part(annotation) and not isinstance(value, annotation):
+        raise ConfigError(
+            f"{path} is {shown(value)}; expected a mapping with _target_ that describes a "
+            f"{annotation.__name__}."
+        )
     return value
+
+
+def _is_part(annotation: Any) -> bool:  # noqa: ANN401 - of any type
+    """Whether it is a class of ours."""
+    return isinstance(annotation, type) and annotation.__module__.startswith("resc.")
 
 
 def _number(path: str, value: Any, kind: type[int] | type[float]) -> int | float:  # noqa: ANN401

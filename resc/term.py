@@ -88,7 +88,7 @@ class Term(TensorDictModuleBase):
     """
 
     reads: tuple[NestedKey, ...] = ()
-    writes: ClassVar[tuple[NestedKey, ...]] = ()
+    writes: tuple[NestedKey, ...] = ()
     varies: tuple[NestedKey, ...] = ()
     initial: Mapping[NestedKey, float] = {}
     keeps: tuple[NestedKey, ...] = ()
@@ -225,7 +225,7 @@ class Estimator(Term):
     An episode begins with the `compute` of its step 0, in which no time has passed.
     """
 
-    writes: ClassVar[tuple[NestedKey, ...]] = tuple(keys.ESTIMATES.values())
+    writes: tuple[NestedKey, ...] = tuple(keys.ESTIMATES.values())
 
     @property
     def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -59,7 +59,7 @@ def cases(groups):
     ]
 
 
-DRAWN_BY = ["rate_loop=px4", "dynamics=in_wind"]
+DRAWN_BY = ["rate_loop=px4", "dynamics=on_battery", "dynamics.in_wind=true"]
 """Readers of everything that a randomisation may draw."""
 TERMS = cases([*SINGLES, *LISTS, "task"])
 
@@ -96,7 +96,7 @@ def every_list():
     chosen = {g: [n for n in found if not is_set(g, n)] for g, found in chosen.items()}
     chosen["sensor"].sort(key=lambda name: name != "euler")  # others read it
     lists = [f"{group}=[{','.join(found)}]" for group, found in chosen.items()]
-    # as the margins, the wind and the gains that are drawn want it
+    # as the margins, the wind, the gains and the charge that are drawn want it
     return [*lists, "scene.clearance_m=[0.3,0.5]", *DRAWN_BY]
 
 

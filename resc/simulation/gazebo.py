@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from resc.quantities import Count, NotNegative, Positive
+from resc.simulation.battery import Battery
 from resc.simulation.multirotor import Air, Multirotor
 
 
@@ -26,6 +27,7 @@ class Gazebo(Multirotor):
         rolling_constant_ns2: m, per rad/s and m/s.
         axial_speed_mps: v_0, at which no lift is left.
         substeps: Steps per control step; at least one for every run of the rate loop.
+        battery: What drives the rotors; null for thrust that does not depend on it.
     """
 
     def __init__(
@@ -38,8 +40,9 @@ class Gazebo(Multirotor):
         rolling_constant_ns2: NotNegative,
         axial_speed_mps: Positive,
         substeps: Count = 8,
+        battery: Battery | None = None,
     ) -> None:
-        super().__init__(substeps=substeps)
+        super().__init__(substeps=substeps, battery=battery)
         self.up_s = up_s
         self.down_s = down_s
         self.thrust_constant_ns2 = thrust_constant_ns2

@@ -12,6 +12,7 @@ from resc import keys
 from resc.keys import NestedKey
 from resc.math import rotation
 from resc.quantities import Within
+from resc.simulation.battery import Battery, Powered
 from resc.simulation.rigid_body import (
     AIR,
     angular_acceleration,
@@ -20,7 +21,7 @@ from resc.simulation.rigid_body import (
     wind_at,
 )
 from resc.simulation.vehicle import GRAVITY_MPS2, hovering
-from resc.term import Context, Term
+from resc.term import Context
 
 
 class Air(NamedTuple):
@@ -34,7 +35,7 @@ class Air(NamedTuple):
     lift: Float[Tensor, "n 4"] | float = 1.0
 
 
-class Multirotor(Term):
+class Multirotor(Powered):
     """State after the time of a call [SI], in steps of a few milliseconds.
 
     Each step moves the rotors on and holds them, as Gazebo and SIH do, and then the body: its rate
@@ -45,6 +46,7 @@ class Multirotor(Term):
 
     Args:
         substeps: Steps per control step; at least one for every run of the rate loop.
+        battery: What drives the rotors; null for thrust that does not depend on it.
     """
 
     reads = (
@@ -71,8 +73,10 @@ class Multirotor(Term):
     varies = (keys.CENTRE_OF_MASS_B, *AIR, keys.CLOCK)
     gravity_w: Tensor
 
-    def __init__(self, *, substeps: Annotated[int, Within(1, 100)] = 8) -> None:
-        super().__init__()
+    def __init__(
+        self, *, substeps: Annotated[int, Within(1, 100)] = 8, battery: Battery | None = None
+    ) -> None:
+        super().__init__(battery)
         self.substeps = substeps
         self.steps = substeps
         self.dt_s = self.period_s = 0.0
@@ -91,7 +95,7 @@ class Multirotor(Term):
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The rotors carry the weight, and nothing has accelerated yet."""
-        return hovering(tensors)
+        return hovering(tensors) | self.charged(tensors)
 
     @abstractmethod
     def rotors(
@@ -128,10 +132,11 @@ class Multirotor(Term):
         centre = further.get(keys.CENTRE_OF_MASS_B)
         air = [further[key] for key in (*AIR, keys.CLOCK) if key in further]
         wind = wind_at(*air, period_s=self.period_s) if air else None
+        target, charge = self.driven(command * thrust_scale, thrust, further, self.dt_s)
         step_s = self.dt_s / self.steps
         start = velocity
         for _ in range(self.steps):
-            thrust = self.rotors(thrust, command * thrust_scale, step_s)
+            thrust = self.rotors(thrust, target, step_s)
             through_air = velocity if wind is None else velocity - wind
             velocity_b = rotation.rotate_inverse(attitude, through_air)
             air = self.air(velocity_b, body_rate, thrust, arm)
@@ -148,7 +153,8 @@ class Multirotor(Term):
             gained = step_s * (lift * axis + drag + self.gravity_w)
             position = position + step_s * (velocity + gained / 2)
             velocity = velocity + gained
-        return position, velocity, attitude, body_rate, thrust, (velocity - start) / self.dt_s
+        acceleration = (velocity - start) / self.dt_s
+        return position, velocity, attitude, body_rate, thrust, acceleration, *charge
 
 
 def _torque(

@@ -15,8 +15,9 @@ from resc.keys import DECLARED, NestedKey
 from resc.math import rotation
 from resc.math.integrate import State, rk4
 from resc.quantities import NotNegative, Within
+from resc.simulation.battery import Battery, Powered
 from resc.simulation.vehicle import GRAVITY_MPS2, hovering
-from resc.term import Context, Term
+from resc.term import Context
 
 AIR = (keys.WIND_W, keys.GUST_W)
 GUST_HZ = (0.1, 0.3, 0.9, 2.0)
@@ -30,7 +31,7 @@ class Lag(NamedTuple):
     left: Tensor | float
 
 
-class RigidBody(Term):
+class RigidBody(Powered):
     """State after one control step [SI], the rotor commands held.
 
     p'' = -g e3 + (sum f_i) b_z / m - k v ;  J w' = -w x J w + tau(f) ;  f' = (f_command - f) / T.
@@ -44,6 +45,7 @@ class RigidBody(Term):
             `randomization=motor_time_constant` draws takes its place.
         drag_1ps: k, linear drag per mass.
         in_wind: Whether drag is relative to the wind that `randomization=wind` draws.
+        battery: What drives the rotors; null for thrust that does not depend on it.
     """
 
     reads = (
@@ -76,15 +78,16 @@ class RigidBody(Term):
         rotor_time_constant_s: NotNegative = 0.0,
         drag_1ps: NotNegative = 0.0,
         in_wind: bool = False,
+        battery: Battery | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(battery)
         if in_wind and not drag_1ps:
             raise ConfigError(
                 "in_wind is true, but drag_1ps is zero, so wind would do nothing; set drag_1ps."
             )
         if in_wind:
             self.reads = (*self.reads, *AIR, keys.CLOCK)
-            self.keeps = AIR
+            self.keeps = (*self.keeps, *AIR)
         if substeps < 1:
             raise ConfigError(f"substeps is {substeps}; expected at least 1.")
         if min(rotor_time_constant_s, drag_1ps) < 0:
@@ -107,7 +110,8 @@ class RigidBody(Term):
         """The rotors carry the weight, nothing has accelerated yet, and the air is as drawn."""
         mass = tensors[keys.MASS]
         still = {key: mass.new_zeros([len(mass), *map(int, DECLARED[key].shape)]) for key in AIR}
-        return hovering(tensors) | {key: tensors.get(key, still[key]) for key in self.keeps}
+        air = {key: tensors.get(key, still[key]) for key in AIR if key in self.keeps}
+        return hovering(tensors) | air | self.charged(tensors)
 
     def compute(
         self,
@@ -130,7 +134,7 @@ class RigidBody(Term):
         step_s = self.dt_s / self.steps
         lag = self._lag(step_s, further.get(keys.ROTOR_TIME_CONSTANT))
         centre = further.get(keys.CENTRE_OF_MASS_B)
-        target = command * thrust_scale
+        target, charge = self.driven(command * thrust_scale, thrust, further, self.dt_s)
         start = velocity
         for _ in range(self.steps):
             mean_thrust, thrust = rotors(thrust, target, lag)
@@ -147,7 +151,8 @@ class RigidBody(Term):
                 slopes, (position, velocity, attitude, body_rate), step_s
             )
             attitude = rotation.normalize(attitude)
-        return position, velocity, attitude, body_rate, thrust, (velocity - start) / self.dt_s
+        acceleration = (velocity - start) / self.dt_s
+        return position, velocity, attitude, body_rate, thrust, acceleration, *charge
 
     def _slopes(
         self,

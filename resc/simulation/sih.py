@@ -5,6 +5,7 @@ from torch import Tensor
 
 from resc.errors import ConfigError
 from resc.quantities import Count, NotNegative, Positive
+from resc.simulation.battery import Battery
 from resc.simulation.multirotor import Air, Multirotor
 from resc.term import Context
 
@@ -20,6 +21,7 @@ class Sih(Multirotor):
         drag_nspm: SIH_KDV, force per velocity.
         rate_drag_nms: SIH_KDW, torque per body rate.
         substeps: Steps per control step; at least one for every run of the rate loop.
+        battery: What drives the rotors; null for thrust that does not depend on it.
     """
 
     def __init__(
@@ -29,8 +31,9 @@ class Sih(Multirotor):
         drag_nspm: NotNegative,
         rate_drag_nms: NotNegative,
         substeps: Count = 8,
+        battery: Battery | None = None,
     ) -> None:
-        super().__init__(substeps=substeps)
+        super().__init__(substeps=substeps, battery=battery)
         self.rotor_time_constant_s = rotor_time_constant_s
         self.drag_nspm = drag_nspm
         self.rate_drag_nms = rate_drag_nms

@@ -38,6 +38,7 @@ def test_the_compiled_loop_of_px4_agrees_with_the_uncompiled_one():
 @pytest.mark.slow
 def test_a_compiled_vehicle_with_everything_drawn_agrees_with_the_uncompiled_one():
     run("compare", "randomization=wild", "rate_loop=px4", "dynamics=in_wind")
+    run("compare", "randomization=[battery,mass]", "rate_loop=px4", "dynamics=on_battery")
 
 
 @pytest.mark.slow  # 1.5 minutes each for the compiler
