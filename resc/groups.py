@@ -109,7 +109,7 @@ GROUPS = (
 """All of them."""
 TASK = {"control_points": "task", "initial_state": "initial_state"}
 """The two terms of a task, and the fields of `Terms` that they fill."""
-DELTAS = ("experiment", "study", "simulator", "condition", "launcher", "hydra")
+DELTAS = ("experiment", "study", "ingredient", "simulator", "condition", "launcher", "hydra")
 """Folders of conf/ that are not groups: they change others, or say how runs are started."""
 
 

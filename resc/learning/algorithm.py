@@ -106,6 +106,9 @@ class Algorithm(ABC):
             NumericalError: The loss is not finite.
         """
 
+    def take_over(self) -> None:  # noqa: B027 - most change nothing
+        """Called once the weights that `init_from` names are loaded, before the first batch."""
+
     def state_dict(self) -> dict[str, Any]:
         """All that learning needs to go on as if it had not stopped: tensors and plain numbers."""
         return {"networks": self.networks.state_dict(), "frames": self.frames}

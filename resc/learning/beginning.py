@@ -129,6 +129,7 @@ def restore(trainer: Trainer, folder: Path, *, resumes: bool, init_from: str | N
     if init_from:
         networks = trainer.algorithm.networks
         afresh = load_weights(Path(init_from), networks, trainer.env.stages)
+        trainer.algorithm.take_over()
         if afresh:
             print(
                 f"Not in {init_from}, so these start from scratch: {', '.join(afresh)}", flush=True

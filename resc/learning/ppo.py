@@ -49,6 +49,8 @@ class Ppo(Algorithm):
         reward_scale: Factor on rewards before the value function sees them, so that its targets are
             of order one.
         initial_std: Standard deviation of the actions at the start, in action units.
+        init_from_std: The same where training begins with the weights of `init_from`; null keeps
+            theirs, with which a trained policy hardly explores.
         target_kl: Skips the rest of a batch's epochs once the policy has moved this far; null never
             does.
         schedule: Of the learning rate between the two: linear, or geometric (by the same factor
@@ -72,6 +74,7 @@ class Ppo(Algorithm):
         max_grad_norm: Positive,
         reward_scale: Positive,
         initial_std: Positive = 0.6,
+        init_from_std: Positive | None = None,
         target_kl: Positive | None = None,
         schedule: Literal["linear", "geometric"] = "linear",
     ) -> None:
@@ -82,6 +85,7 @@ class Ppo(Algorithm):
         self.entropy_coefficient, self.value_coefficient = entropy_coefficient, value_coefficient
         self.max_grad_norm, self.reward_scale = max_grad_norm, reward_scale
         self.target_kl, self.schedule = target_kl, schedule
+        self.init_from_std = init_from_std
         self._check()
         self.networks = self._make_networks(initial_std).to(context.device)
         self._weights = [p for p in self.parameters if p.requires_grad]
@@ -106,6 +110,12 @@ class Ppo(Algorithm):
         """All weights; the spread of the actions first, in which order norms are summed."""
         spread = list(self.policy.head.parameters())
         return [*spread, *(p for p in self.networks.parameters() if p is not spread[0])]
+
+    def take_over(self) -> None:
+        """Explores as widely as is configured."""
+        if self.init_from_std is not None:
+            log_std = cast(Gaussian, self.policy.head).log_std
+            nn.init.constant_(log_std, math.log(self.init_from_std))
 
     def explore(self, seen: TensorDict) -> TensorDict:
         """A draw from the policy: `action`, `action_log_prob` and `state_value`."""

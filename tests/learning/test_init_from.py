@@ -53,6 +53,15 @@ def test_weights_and_normalisation_are_taken_all_else_is_fresh(compose, trained)
     assert not torch.equal(weights(after), weights(before))
 
 
+def test_exploration_is_taken_over_or_begins_as_wide_as_is_asked(compose, trained):
+    before, folder = trained
+    log_std = before.policy.head.log_std
+    assert torch.equal(begun(compose, folder)[0].policy.head.log_std, log_std)
+    after, _ = begun(compose, folder, "algorithm.init_from_std=0.2")
+    assert torch.allclose(after.policy.head.log_std.exp(), torch.full_like(log_std, 0.2))
+    assert torch.equal(weights(after)[len(log_std) :], weights(before)[len(log_std) :])
+
+
 def test_other_networks_are_refused_with_those_to_take(compose, trained):
     with pytest.raises(
         CheckpointError, match=r"has other networks than this run.*'hidden': \[16\]"
