@@ -16,6 +16,7 @@ from resc.term import (
     Observation,
     Randomization,
     Reward,
+    Sensing,
     Sensor,
     Term,
     Termination,
@@ -67,6 +68,7 @@ GROUPS = (
     Group("scene", compared=True),
     Group("sensor", Sensor, stage="sensors", several=True),
     Group("estimator", Estimator, stage="estimator", compared=True),
+    Group("sensing", Sensing, stage="sensing", compared=True),
     Group(
         "observation",
         Observation,

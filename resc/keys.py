@@ -302,6 +302,17 @@ ESTIMATES = {
 }
 """What is estimated: the key of the truth, and that of the estimate, which the policy sees."""
 
+KNOWN_EVIDENCE = _declare(
+    ("known", "evidence"),
+    ("h", "w"),
+    "0.1",
+    "log odds that a cell of the map is occupied, as the vehicle has seen it; -128: never seen",
+    torch.int8,
+)
+KNOWN_ESDF = _declare(
+    ("known", "esdf"), ("h", "w"), "m", "distance to the nearest cell that is known as occupied"
+)
+
 LINK_STOPPED = _declare(
     ("link", "stopped"), (1,), "-", "the flight behind a link was stopped", torch.bool
 )

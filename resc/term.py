@@ -237,6 +237,22 @@ class Estimator(Term):
         return {estimate: tensors[truth] for truth, estimate in keys.ESTIMATES.items()}
 
 
+class Sensing(Term):
+    """What a vehicle sees of the map: it keeps the map that the vehicle knows.
+
+    The policy's observations read the known map; rewards, terminations, metrics and what the value
+    function alone sees read the true one. Maps are large, so it alone changes what it reads in
+    place: `writes`, its last `reads`.
+    """
+
+    writes: tuple[NestedKey, ...] = (keys.KNOWN_EVIDENCE, keys.KNOWN_ESDF)
+
+    @property
+    def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The known map."""
+        return self.outputs
+
+
 class ObservationOptions(TypedDict, total=False):
     """The arguments of `Observation`, which an observation with its own takes as `**options`."""
 

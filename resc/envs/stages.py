@@ -22,6 +22,7 @@ from resc.term import (
     Observation,
     Randomization,
     Reward,
+    Sensing,
     Sensor,
     Term,
     Termination,
@@ -37,7 +38,8 @@ class Terms:
     """Everything an environment is made of, in the order it runs.
 
     Observations in the order of the policy's input; `critic_observations` are seen by the value
-    function alone. Without an estimator, the policy sees the true state.
+    function alone. Without an estimator, the policy sees the true state; without a sensing, the
+    whole map.
     """
 
     action: Action
@@ -53,11 +55,13 @@ class Terms:
     metrics: Sequence[Metric] = field(default_factory=tuple)
     critic_observations: Sequence[Observation] = field(default_factory=tuple)
     estimator: Estimator | None = None
+    sensing: Sensing | None = None
 
     @property
     def measuring(self) -> list[Term]:
-        """The sensors, then what estimates the state from them."""
-        return [*self.sensors, *([self.estimator] if self.estimator else [])]
+        """What sees the map, the sensors, then what estimates the state from these."""
+        seeing = [self.sensing] if self.sensing else []
+        return [*seeing, *self.sensors, *([self.estimator] if self.estimator else [])]
 
     @property
     def observed(self) -> list[Observation]:
@@ -363,25 +367,29 @@ class Stages(nn.Module):
         return torch.cat(blocks, -1)
 
     def _believed(self, tensors: World, drawn: Mapping[str, Tensor]) -> World:
-        """The tensors with the estimate in the place of the state, and what sensors make of it.
+        """What the policy goes by: the estimated state and the known map for the true ones.
 
+        With them goes what sensors make of them.
         Numbers that are not finite, which the environment refuses after the step, are 0: they would
         be looked up anywhere in the map.
         """
-        if self.terms.estimator is None:
+        if self.terms.estimator is None and self.terms.sensing is None:
             return tensors
         believed = dict(tensors)
-        for true, key in keys.ESTIMATES.items():
-            believed[true] = torch.nan_to_num(tensors[key], nan=0.0, posinf=0.0, neginf=0.0)
+        if self.terms.estimator:
+            for true, key in keys.ESTIMATES.items():
+                believed[true] = torch.nan_to_num(tensors[key], nan=0.0, posinf=0.0, neginf=0.0)
+        if self.terms.sensing:
+            believed |= _known_map(tensors)
         for term in self.functions_seen:
             _run(term, believed, drawn)
         return believed
 
     def _measure_first(self, tensors: World, drawn: Mapping[str, Tensor]) -> None:
-        """The first readings of an episode, and the first estimate."""
+        """The first look at the map, the first readings of an episode, and the first estimate."""
         if self.devices:
             tensors |= {key: tensors[key[1:]] for key in self.memory}
-        for term in self.devices:
+        for term in [*([self.terms.sensing] if self.terms.sensing else []), *self.devices]:
             _run(term, tensors, drawn)
 
     def _require_begun(self, tensors: World) -> None:
@@ -480,6 +488,14 @@ def _require(term: Term, known: set[NestedKey], fact: str) -> None:
 def _run(term: Term, tensors: World, drawn: Mapping[str, Tensor]) -> None:
     """Runs a term with the blocks that it takes at every step."""
     term.run(tensors, *(drawn[name] for name in term.blocks))
+
+
+def _known_map(tensors: World) -> World:
+    """The map that each row knows, under the keys of the pool's: one entry for each row."""
+    entry = tensors[keys.SCENE_INDEX][:, 0]
+    own = torch.arange(len(entry), device=entry.device).unsqueeze(-1)
+    corner = {key: tensors[key][entry] for key in (keys.MAP_ORIGIN_W, keys.MAP_SIZE)}
+    return {keys.ESDF: tensors[keys.KNOWN_ESDF], keys.SCENE_INDEX: own, **corner}
 
 
 def _none_yet(key: NestedKey, like: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from resc.envs.stages import Stages
 from resc.errors import ConfigError, RescError
 from resc.keys import DECLARED, NestedKey
 from resc.scenes.pool import ScenePool
-from resc.term import Curriculum, Metric, Observation, Reward, Term, Termination
+from resc.term import Curriculum, Metric, Observation, Reward, Sensing, Term, Termination
 
 COUNT = 7
 """Environments of the trial: no shape that is declared has this length by accident."""
@@ -140,6 +140,8 @@ def _require_unchanged(
     term: Term, given: Sequence[Tensor], before: Sequence[Tensor | None], versions: Sequence[int]
 ) -> None:
     for number, (value, old, version) in enumerate(zip(given, before, versions, strict=True)):
+        if isinstance(term, Sensing) and set(term.reads[number : number + 1]) & set(term.writes):
+            continue
         if value._version == version and (old is None or torch.equal(value, old)):
             continue
         first = len(given) - len(term.reads) if isinstance(term, Metric) else 0

@@ -4,7 +4,7 @@ from typing import no_type_check
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int8
 from numba import njit
 from torch import Tensor
 
@@ -98,3 +98,45 @@ def _greatest(row: Float32[np.ndarray, " w"]) -> float:
     for x in range(row.size):
         most = max(most, row[x])
     return most
+
+
+@njit(error_model="numpy")
+@no_type_check
+def square_window(
+    known: Int8[np.ndarray, "h w"],
+    occupied: int,
+    esdf: Float32[np.ndarray, "h w"],
+    window: tuple[int, int, int, int],
+    reach: int,
+    resolution: float,
+    truncation: float,
+) -> None:
+    """Writes the distances [m] in a window (top, bottom, left, right) of a map, to the bit.
+
+    Cells of `known` from `occupied` on are obstacles; `reach` cells are those within `truncation`.
+    """
+    height, width = known.shape
+    top, bottom, left, right = window
+    above, below = max(0, top - reach), min(height, bottom + reach)
+    before, after = max(0, left - reach), min(width, right + reach)
+    there = known[above:below, before:after] >= occupied
+    gap = np.empty(there.shape, F)
+    _along_columns(there, gap)
+    wide = after - before
+    row = np.full(wide + 2 * reach, F(np.inf), F)
+    best = np.empty(wide, F)
+    for y in range(top, bottom):
+        most = F(0.0)
+        for x in range(wide):
+            best[x] = gap[y - above, x] * gap[y - above, x]
+            row[reach + x] = best[x]
+            most = max(most, best[x])
+        for k in range(1, reach):
+            added = F(k * k)
+            if added >= most:
+                break
+            _lower(best, row[reach - k :], row[reach + k :], added)
+            if k % 4 == 0:
+                most = _greatest(best)
+        for x in range(left, right):
+            esdf[y, x] = min(np.sqrt(best[x - before]) * resolution, truncation)

@@ -1,0 +1,187 @@
+"""The known maps of `resc.maps.known_map` on the CPU: each row alone, changed in place.
+
+`settings` are the edge of a cell [m], the numbers of an `Evidence` and the truncation of distances
+[m].
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from resc.maps.distance_transform import square_window
+
+F = np.float32
+UNKNOWN = -128
+FEW = 24
+"""So many new obstacle cells are painted one by one."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def scan(
+    first,
+    last,
+    index,
+    truth,
+    origin,
+    size,
+    here,
+    direction,
+    length,
+    offset,
+    growth,
+    due,
+    evidence,
+    esdf,
+    settings,
+):
+    """Scans with the beams of rows [first, last) that are due."""
+    resolution, model, truncation = settings
+    _, height, width = evidence.shape
+    per_m, half = F(1.0 / resolution), F(resolution / 2)
+    stamp, mark = np.zeros(height * width, np.int32), 0
+    cells = np.empty(height * width, np.int32)
+    beams = direction.shape[1]
+    reach = np.empty(beams, F)
+    for n in range(first, last):
+        if not due[n]:
+            continue
+        entry = index[n]
+        true = truth[entry].ravel()
+        wide, high = size[entry, 0], size[entry, 1]
+        x0, y0 = here[n, 0] - origin[entry, 0], here[n, 1] - origin[entry, 1]
+        mark += 2  # a cell that a beam ends in is stamped with it, one that is passed with one more
+        known, counted = evidence[n].ravel(), 0
+        for b in range(beams):
+            ux, uy, far = direction[n, b, 0], direction[n, b, 1], length[n, b]
+            reach[b] = far
+            k = 0
+            while F(k) * half < far:
+                x, y = x0 + ux * (F(k) * half), y0 + uy * (F(k) * half)
+                if not (x >= F(0) and y >= F(0) and x < wide and y < high):
+                    break
+                column, row = _cell(x, y, per_m, width, height)
+                if true[row * width + column] <= F(0):
+                    at = F(k) * half
+                    measured = max(at + offset[n, b] + growth[n, b] * (at * at), F(0))
+                    reach[b] = measured - F(resolution)
+                    x, y = x0 + ux * measured, y0 + uy * measured
+                    if x >= F(0) and y >= F(0) and x < wide and y < high:
+                        column, row = _cell(x, y, per_m, width, height)
+                        cell = row * width + column
+                        if stamp[cell] != mark:
+                            stamp[cell] = mark
+                            counted = _add(known, cell, model[0], model, cells, counted)
+                    break
+                k += 1
+        for b in range(beams):
+            ux, uy = direction[n, b, 0], direction[n, b, 1]
+            k, far = 0, min(reach[b], length[n, b])
+            while F(k) * half < far:
+                x, y = x0 + ux * (F(k) * half), y0 + uy * (F(k) * half)
+                if not (x >= F(0) and y >= F(0) and x < wide and y < high):
+                    break
+                column, row = _cell(x, y, per_m, width, height)
+                cell = row * width + column
+                if stamp[cell] < mark:
+                    stamp[cell] = mark + 1
+                    counted = _add(known, cell, model[1], model, cells, counted)
+                k += 1
+        _renew(evidence[n], esdf[n], cells[:counted], model, resolution, truncation)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def reveal(first, last, index, truth, origin, size, here, due, evidence, esdf, radius, settings):
+    """Makes known what lies within a radius of rows [first, last) that are due."""
+    resolution, model, truncation = settings
+    _, height, width = evidence.shape
+    per_m = F(1.0 / resolution)
+    cells = np.empty(height * width, np.int32)
+    farthest = F((radius / resolution) ** 2)
+    reach = int(radius / resolution) + 2
+    for n in range(first, last):
+        if not due[n]:
+            continue
+        entry = index[n]
+        x0 = (here[n, 0] - origin[entry, 0]) * per_m
+        y0 = (here[n, 1] - origin[entry, 1]) * per_m
+        wide, high = size[entry, 0] * per_m, size[entry, 1] * per_m
+        known, counted = evidence[n], 0
+        for row in range(max(0, int(y0) - reach), min(height, int(y0) + reach + 1)):
+            for column in range(max(0, int(x0) - reach), min(width, int(x0) + reach + 1)):
+                y, x = F(row) + F(0.5), F(column) + F(0.5)
+                far = (y - y0) * (y - y0) + (x - x0) * (x - x0)
+                if not (far <= farthest and x < wide and y < high):
+                    continue
+                before = known[row, column] >= model[4]
+                occupied = truth[entry, row, column] <= F(0)
+                known[row, column] = model[3] if occupied else model[2]
+                if before != occupied:
+                    cells[counted] = row * width + column
+                    counted += 1
+        _renew(known, esdf[n], cells[:counted], model, resolution, truncation)
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _cell(x, y, per_m, width, height):
+    """The cell of a point on the map."""
+    column = min(int(np.floor(x * per_m)), width - 1)
+    return column, min(int(np.floor(y * per_m)), height - 1)
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _add(known, cell, added, model, cells, counted):
+    """Adds to the evidence of a cell; notes the cell if it becomes occupied or free by that."""
+    _, _, least, most, occupied = model
+    old = np.int64(known[cell])
+    before = old >= occupied
+    old = 0 if old == UNKNOWN else old
+    new = min(max(old + added, least), most)
+    known[cell] = new
+    if (new >= occupied) != before:
+        cells[counted] = cell
+        return counted + 1
+    return counted
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _renew(known, esdf, cells, model, resolution, truncation):
+    """Renews the distance field where the given cells, which changed, can matter."""
+    if cells.size == 0:
+        return
+    height, width = known.shape
+    occupied, reach = model[4], int(truncation / resolution) + 1
+    top, bottom, left, right, freed = height, -1, width, -1, False
+    for cell in cells:
+        row, column = cell // width, cell % width
+        top, bottom = min(top, row), max(bottom, row)
+        left, right = min(left, column), max(right, column)
+        freed = freed or known[row, column] < occupied
+    if cells.size <= FEW and not freed:
+        for cell in cells:
+            _paint(esdf, cell // width, cell % width, reach, F(resolution))
+        return
+    window = (
+        max(0, top - reach),
+        min(height, bottom + reach + 1),
+        max(0, left - reach),
+        min(width, right + reach + 1),
+    )
+    square_window(known, occupied, esdf, window, reach, F(resolution), F(truncation))
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _paint(esdf, row, column, reach, resolution):
+    """Lowers the distances around a new obstacle cell."""
+    height, width = esdf.shape
+    for y in range(max(0, row - reach), min(height, row + reach + 1)):
+        rise = F((y - row) * (y - row))
+        for x in range(max(0, column - reach), min(width, column + reach + 1)):
+            distance = np.sqrt(rise + F((x - column) * (x - column))) * resolution
+            esdf[y, x] = min(esdf[y, x], distance)

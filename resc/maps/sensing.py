@@ -1,0 +1,101 @@
+"""What all ways of sensing the map share: the keys they read and write, their rate, evidence."""
+
+from collections.abc import Mapping
+from typing import Annotated, TypedDict
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.keys import NestedKey
+from resc.maps.constants import TRUNCATION_M
+from resc.maps.known_map import UNKNOWN, Evidence
+from resc.maps.observation import MAP_KEYS
+from resc.quantities import Positive, Within
+from resc.term import Context, Sensing
+
+Tenths = Annotated[int, Within(-127, 127)]
+"""A whole number of tenths of log odds."""
+
+
+class SensingOptions(TypedDict, total=False):
+    """The arguments of `MapSensing`, which a sensing with its own takes as `**options`."""
+
+    rate_hz: Positive
+    hit: Tenths
+    miss: Tenths
+    least: Tenths
+    most: Tenths
+    occupied: Tenths
+
+
+class MapSensing(Sensing):
+    """Keeps the map that each vehicle knows, and adds what it sees `rate_hz` times a second.
+
+    The numbers of the evidence are tenths of log odds; by default those of the released mapping
+    (facts 10), by which a cell counts as occupied once it was hit three times.
+
+    Args:
+        rate_hz: Scans per second, at most one for each control step.
+        hit: Added to the evidence of a cell where a beam ends.
+        miss: Added where beams pass; below zero.
+        least: Greatest certainty that a cell is free.
+        most: Greatest certainty that it is occupied.
+        occupied: From here on a cell counts as occupied.
+    """
+
+    reads = (
+        keys.CLOCK,
+        keys.POSITION_W,
+        keys.ATTITUDE_WB,
+        *MAP_KEYS,
+        keys.KNOWN_EVIDENCE,
+        keys.KNOWN_ESDF,
+    )
+    writes = (keys.KNOWN_EVIDENCE, keys.KNOWN_ESDF)
+
+    def __init__(
+        self,
+        *,
+        rate_hz: Positive = 10.0,
+        hit: Tenths = 6,
+        miss: Tenths = -6,
+        least: Tenths = -20,
+        most: Tenths = 22,
+        occupied: Tenths = 14,
+    ) -> None:
+        super().__init__()
+        if not (hit > 0 > miss and least < 0 < occupied <= most):
+            raise ConfigError(
+                f"hit, miss, least, most and occupied are {hit}, {miss}, {least}, {most} and "
+                f"{occupied}; expected hit > 0 > miss, and least < 0 < occupied <= most."
+            )
+        self.rate_hz = rate_hz
+        self.evidence = Evidence(hit, miss, least, most, occupied)
+
+    def bind(self, context: Context) -> None:
+        """Takes the control period and the size of a cell."""
+        self.resolution_m = context.resolution_m
+        self.per_step = self.rate_hz * context.dt_s
+        if self.per_step > 1 + 1e-6:
+            raise ConfigError(
+                f"rate_hz is {self.rate_hz:g}, but there are {1 / context.dt_s:g} control steps a "
+                "second, each with one scan at most; lower it."
+            )
+
+    def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
+        """Nothing is known."""
+        shape = len(tensors[keys.POSITION_W]), *tensors[keys.ESDF].shape[1:]
+        like = tensors[keys.POSITION_W]
+        return {
+            keys.KNOWN_EVIDENCE: like.new_full(shape, UNKNOWN, dtype=torch.int8),
+            keys.KNOWN_ESDF: like.new_full(shape, TRUNCATION_M),
+        }
+
+    def due(self, clock: Float[Tensor, "n 1"]) -> Bool[Tensor, "n 1"]:
+        """Whether a scan is due: one is in the first step."""
+        late = 1e-3  # step * per_step is rounded
+        now, before = clock * self.per_step + late, (clock - 1) * self.per_step + late
+        return (now.floor() > before.floor()) | (clock == 0)

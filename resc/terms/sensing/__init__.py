@@ -1,0 +1,1 @@
+"""What vehicles see of the map, one way a file."""
