@@ -9,7 +9,7 @@ from resc.envs.stages import Stages, Terms
 from resc.errors import ConfigError
 from resc.learning.curriculum import Curricula
 from resc.setup import build_stages, set_up
-from resc.simulation.rigid_body import RigidBody
+from resc.simulation.vehicle import hovering
 from resc.term import (
     Action,
     Curriculum,
@@ -174,7 +174,7 @@ OTHERS = {
     ),
     "dynamics that forget an output": (
         a(Term, lambda p: p * 1, writes=(keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB,
-          keys.BODY_RATE_B, keys.ROTOR_THRUST, keys.ACCELERATION_W), begin=RigidBody.begin),
+          keys.BODY_RATE_B, keys.ROTOR_THRUST, keys.ACCELERATION_W), begin=lambda _, t: hovering(t)),
         "dynamics",
         r"dynamics gives 1 tensors; expected 6",
     ),
