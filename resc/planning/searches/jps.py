@@ -5,7 +5,7 @@ from typing import no_type_check
 from numba import njit
 
 from resc.planning.searches.astar import AStar
-from resc.planning.searches.moves import DIAGONAL, STEPS, Rimmed, is_step, octile
+from resc.planning.searches.method import PreparedMap, Query
 from resc.planning.searches.open_list import (
     BUDGET,
     CLOSED,
@@ -19,6 +19,7 @@ from resc.planning.searches.open_list import (
     open_first,
     relax,
 )
+from resc.planning.searches.steps import DIAGONAL, Rimmed, octile
 
 
 class JumpPoints(AStar):
@@ -30,10 +31,9 @@ class JumpPoints(AStar):
     string-pulled from jump point to jump point.
     """
 
-    def _search(
-        self, rim: Rimmed, start: Cell, goal: Cell, limit: int, query: int, work: Work
-    ) -> tuple[int, int]:
-        return _jumps(rim, start, goal, limit, query, work)
+    def _steps(self, chart: PreparedMap, query: Query, work: Work) -> tuple[int, int]:
+        ends = query.first, query.last
+        return _jumps(chart.index, *ends, query.limit, query.number, work)
 
 
 @njit(cache=True, nogil=True)
@@ -41,14 +41,14 @@ class JumpPoints(AStar):
 def _jumps(
     rim: Rimmed, start: Cell, goal: Cell, limit: int, query: int, work: Work
 ) -> tuple[int, int]:
-    mark, parent, cost, _, _, _, _, _ = work
+    mark, parent, cost, key, entry, _, _, _ = work
     width = rim.shape[1] - 2
     gx, gy = goal
     first, last = start[1] * width + start[0], gy * width + gx
-    size = open_first(work, query, first, 0.0)
+    size = open_first(work, query, first)
     expansions = 0
     while True:
-        cell, size = next_open(work, size)
+        cell, size = next_open(mark, key, entry, size)
         if cell < 0:
             return UNREACHABLE, expansions
         if cell == last:
@@ -59,15 +59,19 @@ def _jumps(
         mark[cell] |= CLOSED
         x, y = cell % width, cell // width
         came_x, came_y = x - parent[cell] % width, y - parent[cell] // width
-        for dx, dy in STEPS:
+        for n in range(9):
+            dx, dy = n % 3 - 1, n // 3 - 1
+            if n == 4:
+                continue
             if cell != first and not _goes_on(rim, x, y, _sign(came_x), _sign(came_y), dx, dy):
                 continue
             steps = _jump(rim, x, y, dx, dy, gx, gy)
             u, v = x + steps * dx, y + steps * dy
             at = v * width + u
             g = cost[cell] + steps * (DIAGONAL if dx and dy else 1.0)
-            if steps and not is_worse(work, query, at, g):
-                size = relax(work, query, size, at, cell, g, g + octile(u - gx, v - gy))
+            if steps and not is_worse(mark, cost, query, at, g):
+                parent[at] = cell
+                size = relax(mark, cost, key, entry, query, size, at, g, g + octile(u - gx, v - gy))
                 if size < 0:
                     return HEAP_FULL, expansions
 
@@ -106,25 +110,31 @@ def _jump(rim: Rimmed, x: int, y: int, dx: int, dy: int, gx: int, gy: int) -> in
     if not (dx and dy):
         return _jump_straight(rim, x, y, dx, dy, gx, gy)
     steps = 0
-    while is_step(rim, x, y, dx, dy):
+    while True:
+        row, column = y + 1, x + 1
+        if rim[row + dy, column + dx] or rim[row, column + dx] or rim[row + dy, column]:
+            return 0
         x, y, steps = x + dx, y + dy, steps + 1
         at_goal = x == gx and y == gy
         if at_goal or _jump_straight(rim, x, y, dx, 0, gx, gy):
             return steps
         if _jump_straight(rim, x, y, 0, dy, gx, gy):
             return steps
-    return 0
 
 
 @njit(cache=True)
 @no_type_check
 def _jump_straight(rim: Rimmed, x: int, y: int, dx: int, dy: int, gx: int, gy: int) -> int:
-    steps = 0
+    steps, row, column = 0, y + 1, x + 1
+    left, right = rim[row + dx, column + dy], rim[row - dx, column - dy]
     while True:
-        x, y, steps = x + dx, y + dy, steps + 1
-        if rim[y + 1, x + 1]:
+        steps, row, column = steps + 1, row + dy, column + dx
+        if rim[row, column]:
             return 0
-        if x == gx and y == gy:
+        if column == gx + 1 and row == gy + 1:
             return steps
-        if _is_forced(rim, x, y, dx, dy, dy, dx) or _is_forced(rim, x, y, dx, dy, -dy, -dx):
+        # As `_is_forced` on either side, of which the one behind is known from the last step.
+        left_behind, right_behind = left, right
+        left, right = rim[row + dx, column + dy], rim[row - dx, column - dy]
+        if (left_behind and not left) or (right_behind and not right):
             return steps

@@ -7,11 +7,12 @@ it. An entry of the heap that has become stale is skipped when it comes up.
 from typing import TypeAlias, no_type_check
 
 import numpy as np
-from jaxtyping import Float64, Int32
+from jaxtyping import Float64, Int32, Int64
 from numba import njit
 
 Cell: TypeAlias = tuple[int, int]  # column, row
 Work: TypeAlias = tuple[np.ndarray, ...]
+Marks: TypeAlias = Int64[np.ndarray, " cells"]
 Keys: TypeAlias = Float64[np.ndarray, " heap"]
 Entries: TypeAlias = Int32[np.ndarray, " heap"]
 
@@ -42,20 +43,23 @@ def workspace(cells: int, heap: int) -> Work:
 
 @njit(cache=True)
 @no_type_check
-def open_first(work: Work, query: int, first: int, f: float) -> int:
+def open_first(work: Work, query: int, first: int) -> int:
     """Size of the open list that holds the start only."""
     mark, parent, cost, key, entry, _, _, _ = work
     mark[first] = (query << FLAG_BITS) | OPENED
     parent[first], cost[first] = first, 0.0
-    key[0], entry[0] = f, first
+    key[0], entry[0] = 0.0, first
     return 1
+
+
+# The functions below take single arrays: to unpack a `Work` counts references, which takes longer
+# than what they do.
 
 
 @njit(cache=True)
 @no_type_check
-def next_open(work: Work, size: int) -> tuple[int, int]:
+def next_open(mark: Marks, key: Keys, entry: Entries, size: int) -> tuple[int, int]:
     """The open cell with the least f, -1 if none is left, and the new size of the list."""
-    mark, _, _, key, entry, _, _, _ = work
     while size:
         cell = entry[0]
         size = pop(key, entry, size)
@@ -66,9 +70,8 @@ def next_open(work: Work, size: int) -> tuple[int, int]:
 
 @njit(cache=True)
 @no_type_check
-def is_worse(work: Work, query: int, at: int, g: float) -> bool:
+def is_worse(mark: Marks, cost: Keys, query: int, at: int, g: float) -> bool:
     """Whether a way of length g is of no use: the cell is closed, or open with one as good."""
-    mark, _, cost, _, _, _, _, _ = work
     if mark[at] < query << FLAG_BITS:
         return False
     return mark[at] & CLOSED != 0 or (mark[at] & OPENED != 0 and g >= cost[at])
@@ -76,13 +79,22 @@ def is_worse(work: Work, query: int, at: int, g: float) -> bool:
 
 @njit(cache=True)
 @no_type_check
-def relax(work: Work, query: int, size: int, at: int, parent_of: int, g: float, f: float) -> int:
+def relax(
+    mark: Marks,
+    cost: Keys,
+    key: Keys,
+    entry: Entries,
+    query: int,
+    size: int,
+    at: int,
+    g: float,
+    f: float,
+) -> int:
     """Open a cell that `is_worse` has let pass; the new size of the list, -1 if it is full."""
-    mark, parent, cost, key, entry, _, _, _ = work
     if size == len(entry):
         return -1
     mark[at] = max(mark[at], query << FLAG_BITS) | OPENED
-    parent[at], cost[at] = parent_of, g
+    cost[at] = g
     return push(key, entry, size, f, at)
 
 

@@ -90,16 +90,16 @@ def _search(
     query: int,
     work: Work,
 ) -> tuple[int, int]:
-    mark, parent, _, _, _, _, _, _ = work
+    mark, parent, _, key, entry, _, _, _ = work
     limit, rings, sure_cells, seed = settings
     width = blocked.shape[1]
     gx, gy = goal
     first, last = start[1] * width + start[0], gy * width + gx
     state = _next(_next(seed + _FACTOR * first) + last)
-    size = open_first(work, query, first, 0.0)
+    size = open_first(work, query, first)
     expansions = 0
     while True:
-        cell, size = next_open(work, size)
+        cell, size = next_open(mark, key, entry, size)
         if cell < 0:
             return UNREACHABLE, expansions
         if expansions == limit:
@@ -133,7 +133,7 @@ def _scan(
     work: Work,
 ) -> int:
     """Open the corners that a cell sees, ring by ring; the new size of the open list."""
-    _, _, cost, _, _, _, _, _ = work
+    mark, parent, cost, key, entry, _, _, _ = work
     height, width = blocked.shape
     x, y = cell % width, cell // width
     for ring in range(1, rings + 1):
@@ -144,10 +144,11 @@ def _scan(
                     continue
                 at = v * width + u
                 g = cost[cell] + sqrt((u - x) ** 2 + (v - y) ** 2)
-                if is_worse(work, query, at, g) or not sees(blocked, x, y, u, v):
+                if is_worse(mark, cost, query, at, g) or not sees(blocked, x, y, u, v):
                     continue
                 f = g + sqrt((u - goal[0]) ** 2 + (v - goal[1]) ** 2)
-                size = relax(work, query, size, at, cell, g, f)
+                parent[at] = cell
+                size = relax(mark, cost, key, entry, query, size, at, g, f)
                 if size < 0:
                     return size
     return size

@@ -10,7 +10,6 @@ from numba import njit
 from resc.errors import ConfigError
 from resc.planning.grid import Grid, inflate
 from resc.planning.searches.method import Method, PreparedMap, Query
-from resc.planning.searches.moves import DIAGONAL
 from resc.planning.searches.open_list import (
     BUDGET,
     CLOSED,
@@ -27,6 +26,7 @@ from resc.planning.searches.open_list import (
     relax,
 )
 from resc.planning.searches.rings import CORNER, NEAR, march, one_sided, sees
+from resc.planning.searches.steps import DIAGONAL
 from resc.quantities import Positive
 
 _SEEN = OWN_FLAG  # as no corner: rings leave it out from then on
@@ -85,15 +85,15 @@ def _search(
     query: int,
     work: Work,
 ) -> tuple[int, int]:
-    mark, _, cost, _, _, _, _, _ = work
+    mark, parent, cost, key, entry, _, _, _ = work
     limit, rings, sight_cells = settings
     width = blocked.shape[1]
     gx, gy = goal
     last = gy * width + gx
-    size = open_first(work, query, start[1] * width + start[0], 0.0)
+    size = open_first(work, query, start[1] * width + start[0])
     expansions = 0
     while True:
-        cell, size = next_open(work, size)
+        cell, size = next_open(mark, key, entry, size)
         if cell < 0:
             return UNREACHABLE, expansions
         if cell == last:
@@ -109,9 +109,10 @@ def _search(
             size = _scan(blocked, kind, cell, goal, rings, query, size, work)
         else:
             g = cost[cell] + sqrt((u - x) ** 2 + (v - y) ** 2)
-            if is_worse(work, query, at, g):
+            if is_worse(mark, cost, query, at, g):
                 continue
-            size = relax(work, query, size, at, cell, g, g + sqrt((u - gx) ** 2 + (v - gy) ** 2))
+            parent[at], f = cell, g + sqrt((u - gx) ** 2 + (v - gy) ** 2)
+            size = relax(mark, cost, key, entry, query, size, at, g, f)
             if at == last and size >= 0:
                 return FOUND, expansions
         if size < 0:
@@ -131,7 +132,7 @@ def _scan(
     work: Work,
 ) -> int:
     """Open the corners that a cell sees, ring by ring; the new size of the open list."""
-    mark, _, cost, _, _, _, _, _ = work
+    mark, parent, cost, key, entry, _, _, _ = work
     height, width = blocked.shape
     x, y = cell % width, cell // width
     fresh = query << FLAG_BITS
@@ -150,10 +151,11 @@ def _scan(
                     mark[at] = flags | _SEEN
                     continue
                 g = cost[cell] + sqrt((u - x) ** 2 + (v - y) ** 2)
-                if is_worse(work, query, at, g) or not sees(blocked, x, y, u, v):
+                if is_worse(mark, cost, query, at, g) or not sees(blocked, x, y, u, v):
                     continue
                 f = g + sqrt((u - goal[0]) ** 2 + (v - goal[1]) ** 2)
-                size = relax(work, query, size, at, cell, g, f)
+                parent[at] = cell
+                size = relax(mark, cost, key, entry, query, size, at, g, f)
                 if size < 0:
                     return size
     return size
