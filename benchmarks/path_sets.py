@@ -55,7 +55,7 @@ def quad100() -> PathSet:
 
 
 def movingai(folder: Path) -> PathSet:
-    """26 maps of up to 1025 x 1025 cells, 650 queries, without clearance."""
+    """26 maps of up to 512 x 530 cells, 650 queries, without clearance."""
     with (folder / "movingai_refs.csv").open() as file:
         queries = list(_queries(csv.DictReader(file)))
     names = dict.fromkeys(query.map for query in queries)
@@ -71,7 +71,7 @@ def _queries(rows: Iterable[dict[str, str]]) -> Iterable[Query]:
 
 
 def _read_map(file: Path) -> np.ndarray:
-    lines = gzip.decompress(file.read_bytes()).split(b"\n")
-    rows = [line.strip() for line in lines[lines.index(b"map") + 1 :] if line.strip()]
+    lines = gzip.decompress(file.read_bytes()).split()
+    rows = lines[lines.index(b"map") + 1 :]
     cells = np.array([np.frombuffer(row, np.uint8) for row in rows])
     return ~np.isin(cells, np.frombuffer(FREE, np.uint8))

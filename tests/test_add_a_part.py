@@ -7,19 +7,24 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from omegaconf import OmegaConf
 
 import evaluate
+from resc.build import build
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.learning.training_run import TrainingRun
+from resc.planning.searches.search import path_on_grid
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "add-a-part.md").read_text()
 BLOCKS = re.findall(r"^(?:`(\S+)`\n\n)?```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 FILES = {name: text for name, _, text in BLOCKS if name}
-COMMAND, TRAINING = (shlex.split(text) for _, language, text in BLOCKS if language == "bash")
+COMMAND, TRAINING, SEARCHING = (
+    shlex.split(text) for _, language, text in BLOCKS if language == "bash"
+)
 EMPTY = ("mypackage/__init__.py", "mypackage/conf/__init__.py")
 
 
@@ -124,3 +129,23 @@ def test_the_algorithm_and_the_model_of_the_page_go_on_bit_for_bit(own_package, 
     assert any(
         not torch.equal(a, b) for a, b in zip(first, whole.algorithm.parameters, strict=True)
     )
+
+
+@pytest.mark.slow
+def test_the_command_of_the_page_flies_along_the_new_search(own_package, call_script, tmp_path):
+    assert SEARCHING[:3] == ["PYTHONPATH=.", "python", "evaluate.py"]
+    small = ("flights=1", "recorder=none", "termination.time_limit.limit_s=2.0")
+    call_script(evaluate, *SEARCHING[3:], *small, "hydra.run.dir=run")
+    assert (tmp_path / "run" / "summary.json").exists()
+
+
+def test_the_search_of_the_page_finds_steps_along_rows_and_columns(own_package):
+    node = {"_target_": "mypackage.staircase.Staircase"}
+    method = build(node, "search.method", allowed=["mypackage."])
+    occupancy = np.zeros((10, 10), bool)
+    options = {"method": method, "clearance_m": 0.0, "resolution_m": 1.0}
+    assert path_on_grid(occupancy, (0.5, 0.5), (8.5, 6.5), **options).length_m == 14.0
+    short = path_on_grid(occupancy, (0.5, 0.5), (8.5, 6.5), max_expansions=9, **options)
+    assert (short.status, short.expansions) == ("budget", 9)
+    occupancy[:, 4] = True
+    assert path_on_grid(occupancy, (0.5, 0.5), (8.5, 6.5), **options).status == "unreachable"

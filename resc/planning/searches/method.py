@@ -67,7 +67,11 @@ class Method(ABC):
 
     @abstractmethod
     def cells(self, chart: PreparedMap, query: Query, work: Work) -> tuple[int, int]:
-        """Status and expansions; leaves the path in `work`, from parent to parent."""
+        """Status and expansions.
+
+        Leaves the path in `work[1]`: there each cell, as y * width + x, has the number of the cell
+        before it, from the goal back to the start.
+        """
 
     def find(self, chart: PreparedMap, query: Query, work: Work) -> Answer:
         """Status, number of points, length [m] and expansions; leaves the points in `work`."""

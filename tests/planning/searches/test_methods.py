@@ -155,6 +155,18 @@ def test_a_large_empty_map_is_crossed(method):
         assert size * 2**0.5 - 2 <= path.length_m <= 1.083 * size * 2**0.5
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [(4000, 4000), (4000, 37), (3, 4000)])
+def test_maps_of_thousands_of_rows_and_columns(method, shape):
+    blocked = np.random.default_rng(0).random(shape) < 0.001
+    blocked[0, 0] = blocked[-1, -1] = False
+    path = plan(method, blocked, (0, 0), (shape[1] - 1, shape[0] - 1), limit=50_000_000)
+    straight = np.hypot(shape[0] - 1, shape[1] - 1)
+    if method.complete:
+        assert path.status == "found"
+        assert straight <= path.length_m <= 1.083 * straight
+
+
 @pytest.mark.parametrize(
     ("grid", "message"),
     [
