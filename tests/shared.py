@@ -43,8 +43,10 @@ from resc.starting.launch import launch
 CONF = Path(__file__).parents[1] / "conf"
 SLOW_S = 900
 """After which a slow test counts as hanging; pyproject.toml says it of the others."""
+WITHOUT_KERNELS = ("deployment", "studies", "sweeps")
+"""Folders of tests that fly in no scenes."""
 LONGEST = ("test_compiled.py", "test_mutations.py")
-"""Files of tests that nothing should wait for at the end."""
+"""Files of tests that start a process which takes as long as a hundred others."""
 STAND_IN = Path(__file__).parent / "stand_in_run.py"
 QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none")
 
@@ -68,12 +70,28 @@ def pytest_unconfigure() -> None:
 hasten()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Gives slow tests their time, and lets the longest begin before the others."""
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+@pytest.hookimpl(trylast=True)  # of what is left of the collection
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Gives slow tests their time, and orders those that two processes share."""
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_S))
+    if hasattr(config, "workerinput"):
+        items[:] = shared_out(items)
+
+
+def shared_out(items: list[pytest.Item]) -> list[pytest.Item]:
+    """The tests in an order in which two processes, a half each, compile no kernel of numba twice.
+
+    The first process compiles all of them at once; the second begins with tests that need none,
+    goes on with the longest, which nothing should wait for at the end, and finds them compiled.
+    """
+    without = [item for item in items if item.path.parent.name in WITHOUT_KERNELS]
+    longest = [item for item in items if item.path.name in LONGEST]
+    first = {*without, *longest}
+    others = [item for item in items if item not in first]
+    half = len(items) // 2
+    return [*others[:half], *without, *longest, *others[half:]]
 
 
 class Composer:
