@@ -133,11 +133,12 @@ def row(paths: PathSet, one: Contender, repeats: int) -> str:
     exact = sum(ratio <= 1 + TOLERANCE for ratio in ratios)
     reasons = ", ".join(f"{failed.count(why)} {why}" for why in sorted(set(failed))) or "0"
     setup = np.mean([elapsed for elapsed, _ in charts.values()])
+    lengths = f"{np.mean(ratios):.4f} / {max(ratios):.4f}" if ratios else "-"
+    share = f"{100 * cut / len(ratios):.0f} %" if ratios else "-"
     return (
         f"| {one.name} | {np.mean(times):.4g} / {np.median(times):.4g} / "
-        f"{np.percentile(times, 99):.4g} | {setup:.3g} | {reasons} | {np.mean(ratios):.4f} / "
-        f"{max(ratios):.4f} | {exact} | {100 * cut / len(ratios):.0f} % | "
-        f"{octile if paths.queries[0].octile else '-'} |"
+        f"{np.percentile(times, 99):.4g} | {setup:.3g} | {reasons} | {lengths} | {exact} | "
+        f"{share} | {octile if paths.queries[0].octile else '-'} |"
     )
 
 
