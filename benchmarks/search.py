@@ -171,7 +171,7 @@ def main() -> None:
     asked = parser.parse_args()
     table(quad100(), repeats=5)
     if asked.movingai:
-        table(movingai(asked.movingai), repeats=2)
+        table(movingai(asked.movingai), repeats=4)
     if asked.large:
         paths = large()
         exact = contender("exact", paths, None, BUDGET)
