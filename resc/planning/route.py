@@ -60,8 +60,6 @@ class RoutePlanner:
         arrival_radius_m: float = 0.0,
         arrival_half_height_m: float | None = None,
     ) -> None:
-        if max_expansions < 1:
-            raise ConfigError(f"max_expansions is {max_expansions}; expected at least 1.")
         if len(spacing_m) != 2 or not 0 < spacing_m[0] < spacing_m[1]:
             raise ConfigError(f"spacing_m is {list(spacing_m)}; expected [least, greatest].")
         if nominal_m <= 0:

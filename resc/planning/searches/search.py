@@ -57,10 +57,18 @@ class Search:
         max_expansions: int = 100_000,
         method: Method | None = None,
     ) -> None:
-        if clearance_m < 0.0:
-            raise ConfigError(f"clearance_m of the search is {clearance_m}; expected 0 or more.")
-        if resolution_m <= 0.0:
-            raise ConfigError(f"resolution_m of the search is {resolution_m}; expected above 0.")
+        if not 0.0 <= clearance_m < inf:
+            raise ConfigError(
+                f"clearance_m of the search is {clearance_m}; expected a number from 0 on."
+            )
+        if not 0.0 < resolution_m < inf:
+            raise ConfigError(
+                f"resolution_m of the search is {resolution_m}; expected a number above 0."
+            )
+        if max_expansions < 1:
+            raise ConfigError(
+                f"max_expansions of the search is {max_expansions}; expected at least 1."
+            )
         # The kernels are compiled for float and int; other types would compile them once more.
         self.clearance_m, self.resolution_m = float(clearance_m), float(resolution_m)
         self.max_expansions = int(max_expansions)
