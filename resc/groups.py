@@ -15,6 +15,7 @@ from resc.term import (
     Metric,
     Observation,
     Randomization,
+    Replanning,
     Reward,
     Sensing,
     Sensor,
@@ -69,6 +70,7 @@ GROUPS = (
     Group("sensor", Sensor, stage="sensors", several=True),
     Group("estimator", Estimator, stage="estimator", compared=True),
     Group("sensing", Sensing, stage="sensing", compared=True),
+    Group("replanning", Replanning, stage="replanning", compared=True),
     Group(
         "observation",
         Observation,

@@ -313,6 +313,38 @@ KNOWN_ESDF = _declare(
     ("known", "esdf"), ("h", "w"), "m", "distance to the nearest cell that is known as occupied"
 )
 
+REPLAN_GOAL_W = _declare(("replan", "goal_w"), (3,), "m", "where routes of the episode lead")
+REPLAN_CLEARANCE = _declare(
+    ("replan", "clearance"), (1,), "m", "what a new route keeps from known obstacles"
+)
+PENDING_ROUTE_W = _declare(
+    ("replan", "pending_route_w"), ("k", 3), "m", "control points of the route that is on its way"
+)
+PENDING_LENGTH = _declare(
+    ("replan", "pending_length"), (1,), "-", "how many of them count", torch.int64
+)
+PENDING_STEPS = _declare(
+    ("replan", "pending_steps"), (1,), "steps", "until it arrives; -1: none is", torch.int64
+)
+HOVER_W = _declare(("replan", "hover_w"), (3,), "m", "where to wait while no way is known")
+REPLAN_STATUS = _declare(
+    ("replan", "status"),
+    (1,),
+    "-",
+    "last check of the route: 0 free, 1 blocked and planned again, 2 closed off, 3 search gave up",
+    torch.int64,
+)
+REPLANS = _declare(
+    ("replan", "count"), (1,), "-", "routes planned again in the episode", torch.int64
+)
+REPLAN_MOVED = _declare(
+    ("replan", "moved"),
+    (1,),
+    "-",
+    "start or goal of the route planned in this step were moved out of the clearance",
+    torch.bool,
+)
+
 LINK_STOPPED = _declare(
     ("link", "stopped"), (1,), "-", "the flight behind a link was stopped", torch.bool
 )

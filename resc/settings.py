@@ -42,7 +42,7 @@ RESUMABLE = (
     "recorder.when_full",
 )
 """Settings that a resumed run takes from its command line; all others are the run's own."""
-LATER = ("init_from", "observation_critic", "estimator", "sensing")
+LATER = ("init_from", "observation_critic", "estimator", "sensing", "replanning")
 """Settings that older runs lack, and that change nothing as long as they are empty."""
 NO_MATTER = (*RESUMABLE, "resume", "recorder", "logger")
 """Settings that change nothing about what is learned."""

@@ -253,6 +253,14 @@ class Sensing(Term):
         return self.outputs
 
 
+class Replanning(Term):
+    """Renews the route in flight, by the map that the vehicle knows.
+
+    It runs once the step is judged, so that the new control points are the first to be observed; an
+    episode begins with its `compute` of step 0. Its position is the estimated one, if there is one.
+    """
+
+
 class ObservationOptions(TypedDict, total=False):
     """The arguments of `Observation`, which an observation with its own takes as `**options`."""
 

@@ -21,6 +21,7 @@ from resc.term import (
     Metric,
     Observation,
     Randomization,
+    Replanning,
     Reward,
     Sensing,
     Sensor,
@@ -56,6 +57,7 @@ class Terms:
     critic_observations: Sequence[Observation] = field(default_factory=tuple)
     estimator: Estimator | None = None
     sensing: Sensing | None = None
+    replanning: Replanning | None = None
 
     @property
     def measuring(self) -> list[Term]:
@@ -78,6 +80,7 @@ class Terms:
             self.terminations,
             self.rewards,
             self.metrics,
+            [self.replanning] if self.replanning else [],
             self.observed,
         ):
             yield from stage
@@ -188,6 +191,7 @@ class Stages(nn.Module):
         for term in (*terms.rewards, *terms.metrics):
             _run(term, tensors, drawn)
         reward_terms = torch.cat([term.weighted(tensors) for term in terms.rewards], -1)
+        self._replan(tensors)
         observation, critic = self._observe(tensors, drawn).split(self.widths, -1)
         out = StepOutput(
             observation=observation,
@@ -386,11 +390,20 @@ class Stages(nn.Module):
         return believed
 
     def _measure_first(self, tensors: World, drawn: Mapping[str, Tensor]) -> None:
-        """The first look at the map, the first readings of an episode, and the first estimate."""
+        """First look at the map, first readings, first estimate, and first route of an episode."""
         if self.devices:
             tensors |= {key: tensors[key[1:]] for key in self.memory}
         for term in [*([self.terms.sensing] if self.terms.sensing else []), *self.devices]:
             _run(term, tensors, drawn)
+        self._replan(tensors)
+
+    def _replan(self, tensors: World) -> None:
+        """Renews the routes, from where the vehicles are estimated to be."""
+        if term := self.terms.replanning:
+            where = keys.ESTIMATED_POSITION_W if self.terms.estimator else keys.POSITION_W
+            seen = tensors | {keys.POSITION_W: tensors[where]}
+            term.run(seen)
+            tensors |= {key: seen[key] for key in term.outputs}
 
     def _require_begun(self, tensors: World) -> None:
         """What the world holds must have a value where an episode begins."""

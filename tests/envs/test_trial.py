@@ -174,7 +174,8 @@ OTHERS = {
     ),
     "dynamics that forget an output": (
         a(Term, lambda p: p * 1, writes=(keys.POSITION_W, keys.VELOCITY_W, keys.ATTITUDE_WB,
-          keys.BODY_RATE_B, keys.ROTOR_THRUST, keys.ACCELERATION_W), begin=lambda _, t: hovering(t)),
+          keys.BODY_RATE_B, keys.ROTOR_THRUST, keys.ACCELERATION_W),
+          begin=lambda _, t: hovering(t)),
         "dynamics",
         r"dynamics gives 1 tensors; expected 6",
     ),

@@ -19,7 +19,7 @@ from resc.terms.sensing.lidar2d import Lidar2d
 from resc.terms.sensing.local import Local
 
 KINDS = ("local", "depth", "lidar2d")
-SURE = {"hit": 22, "occupied": 14}
+SURE = {"hit": 22}
 """One hit is enough."""
 
 

@@ -1,0 +1,292 @@
+"""Replanning in flight, on the map that each vehicle knows."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.keys import NestedKey
+from resc.maps.cpu_kernels import share_out
+from resc.math.route import next_two
+from resc.planning import replanning_kernels
+from resc.planning.replanning_kernels import CLOSED_OFF, RENEWED
+from resc.quantities import NotNegative, Positive, Within
+from resc.term import Context, Replanning
+
+LEAST = 4
+"""So many vehicles are worth a second thread."""
+NONE = -1
+"""Steps until a route arrives, where none is on its way."""
+
+
+class InFlight(Replanning):
+    """Checks the route ahead `check_hz` times a second, and plans it again where it is blocked.
+
+    The search is exact (`resc.planning.searches.exact`), from where the vehicle is to the goal, on
+    the map that it knows; what is unknown counts as free. So a route is the shortest one that is
+    not known to be blocked, and remains that until a new obstacle lies on it: nothing is gained by
+    planning without a cause. The policy flies on by the old control points until the new ones
+    arrive, `latency_steps` after the map that they are planned on. The first route of an episode is
+    planned at once, on what the first look shows.
+
+    A route that begins against the motion of the vehicle is taken only if it is shorter by `turn_m`
+    than the shortest one that does not: turning back costs time, and as the map grows the shortest
+    way may lie now on this side, now on the other.
+
+    An end inside the clearance is moved to the nearest free cell within `link_m`, and flagged.
+    Where no way to the goal is known, the control points become the place where that was found, and
+    the search is tried again at each check: the vehicle hovers until a way opens or time is up.
+
+    Args:
+        check_hz: Checks of the route per second.
+        ahead_m: How much of the route ahead is checked.
+        margin_m: A route that comes nearer to a known obstacle is blocked.
+        clearance_m: What a new route keeps from known obstacles; null for what the first one kept,
+            or the margin where that is not known.
+        link_m: How far an end may be moved out of the clearance.
+        turn_m: How much longer a route may be that goes on than one that turns back.
+        latency_steps: Control steps from a map to the route that is planned on it.
+        max_expansions: Work after which a search gives up.
+        spacing_m: Least and greatest distance between control points.
+        nominal_m: Distance aimed at on long lines.
+        points: Control points that a route has room for.
+    """
+
+    reads = (
+        keys.CLOCK,
+        keys.POSITION_W,
+        keys.VELOCITY_W,
+        keys.SCENE_INDEX,
+        keys.MAP_ORIGIN_W,
+        keys.MAP_SIZE,
+        keys.KNOWN_ESDF,
+        keys.ROUTE_W,
+        keys.ROUTE_LENGTH,
+        keys.ROUTE_INDEX,
+        keys.REPLAN_GOAL_W,
+        keys.REPLAN_CLEARANCE,
+        keys.PENDING_ROUTE_W,
+        keys.PENDING_LENGTH,
+        keys.PENDING_STEPS,
+        keys.HOVER_W,
+        keys.REPLAN_STATUS,
+        keys.REPLANS,
+    )
+    writes = (
+        keys.ROUTE_W,
+        keys.ROUTE_LENGTH,
+        keys.ROUTE_INDEX,
+        keys.CONTROL_POINTS_W,
+        keys.PENDING_ROUTE_W,
+        keys.PENDING_LENGTH,
+        keys.PENDING_STEPS,
+        keys.HOVER_W,
+        keys.REPLAN_STATUS,
+        keys.REPLANS,
+        keys.REPLAN_MOVED,
+    )
+    keeps = (*writes, keys.REPLAN_GOAL_W, keys.REPLAN_CLEARANCE)
+
+    def __init__(
+        self,
+        *,
+        check_hz: Positive = 20.0,
+        ahead_m: Positive = 6.0,
+        margin_m: Positive = 0.3,
+        clearance_m: Positive | None = 0.4,
+        link_m: NotNegative = 1.0,
+        turn_m: NotNegative = 4.0,
+        latency_steps: Annotated[int, Within(0, 50)] = 1,
+        max_expansions: Annotated[int, Within(1, 1e9)] = 100_000,
+        spacing_m: Sequence[Positive] = (1.0, 2.0),
+        nominal_m: Positive = 1.5,
+        points: Annotated[int, Within(8, 512)] = 64,
+    ) -> None:
+        super().__init__()
+        if len(spacing_m) != 2 or not 0 < spacing_m[0] < spacing_m[1]:
+            raise ConfigError(f"spacing_m is {list(spacing_m)}; expected [least, greatest].")
+        if clearance_m is not None and clearance_m < margin_m:
+            raise ConfigError(
+                f"clearance_m is {clearance_m:g}, below margin_m, {margin_m:g}: a new route would "
+                "be blocked at once; raise it."
+            )
+        self.check_hz = check_hz
+        self.margin_m, self.clearance_m = margin_m, clearance_m
+        self.latency_steps = latency_steps
+        self.points = points
+        limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
+        self.numbers = (ahead_m, margin_m, link_m, turn_m, max_expansions)
+        self.limits = limits
+
+    def bind(self, context: Context) -> None:
+        """Takes the size of a cell, and how many steps there are between two checks."""
+        self.resolution_m = context.resolution_m
+        every = max(1, round(1 / (self.check_hz * context.dt_s)))
+        if every > self.points - 2:
+            raise ConfigError(
+                f"check_hz is {self.check_hz:g}, one check in {every} control steps; raise it, or "
+                f"points above {every + 2}."
+            )
+        self.every = every
+
+    def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
+        """The given route, with room for longer ones; nothing is on its way."""
+        route, length = tensors[keys.ROUTE_W], tensors[keys.ROUTE_LENGTH]
+        if route.shape[1] > self.points:
+            raise ConfigError(
+                f"replanning.points is {self.points}, but the scenes have routes of up to "
+                f"{route.shape[1]}; raise it."
+            )
+        last = (length - 1).clamp(min=0).unsqueeze(-1).expand(-1, 1, 3)
+        goal = route.gather(1, last)
+        room = torch.cat((route, goal.expand(-1, self.points - route.shape[1], 3)), 1)
+        none = torch.zeros_like(length)
+        position = tensors[keys.POSITION_W]
+        first = {key: tensors[key] for key in (keys.ROUTE_INDEX, keys.CONTROL_POINTS_W)}
+        return first | {
+            keys.ROUTE_W: room,
+            keys.ROUTE_LENGTH: length,
+            keys.REPLAN_GOAL_W: goal[:, 0],
+            keys.REPLAN_CLEARANCE: self._clearance(tensors),
+            keys.PENDING_ROUTE_W: room,
+            keys.PENDING_LENGTH: none,
+            keys.PENDING_STEPS: none + NONE,
+            keys.HOVER_W: position,
+            keys.REPLAN_STATUS: none,
+            keys.REPLANS: none,
+            keys.REPLAN_MOVED: none > 0,
+        }
+
+    def _clearance(self, tensors: Mapping[NestedKey, Tensor]) -> Float[Tensor, "n 1"]:
+        """What a new route keeps."""
+        own = tensors[keys.ROUTE_CLEARANCE]
+        if self.clearance_m is not None:
+            return torch.full_like(own, self.clearance_m)
+        return torch.where(own.isfinite(), own, self.margin_m).clamp(min=self.margin_m)
+
+    def compute(
+        self,
+        clock: Float[Tensor, "n 1"],
+        position: Float[Tensor, "n 3"],
+        velocity: Float[Tensor, "n 3"],
+        index: Int[Tensor, "n 1"],
+        origin: Float[Tensor, "p 2"],
+        size: Float[Tensor, "p 2"],
+        esdf: Float[Tensor, "n h w"],
+        route: Float[Tensor, "n k 3"],
+        length: Int[Tensor, "n 1"],
+        ahead: Int[Tensor, "n 1"],
+        goal: Float[Tensor, "n 3"],
+        clearance: Float[Tensor, "n 1"],
+        pending: Float[Tensor, "n k 3"],
+        pending_length: Int[Tensor, "n 1"],
+        steps: Int[Tensor, "n 1"],
+        hover: Float[Tensor, "n 3"],
+        status: Int[Tensor, "n 1"],
+        replans: Int[Tensor, "n 1"],
+    ) -> tuple[Tensor, ...]:
+        first = clock == 0
+        due = ((clock % self.every == 0) & (steps < 0)) | first
+        lost = status >= CLOSED_OFF
+        found, fresh, count, moved = torch.ops.resc.replan(
+            due,
+            first | lost,
+            index,
+            origin,
+            size,
+            position,
+            velocity,
+            goal,
+            clearance,
+            esdf,
+            route,
+            length,
+            ahead,
+            [float(number) for number in (self.resolution_m, *self.numbers, *self.limits)],
+        )
+        renewed, closed = found == RENEWED, found >= CLOSED_OFF
+        hover = torch.where(closed & ~lost, position, hover)
+        held = hover.unsqueeze(1).expand_as(route)
+        fresh = torch.where(closed.unsqueeze(-1), held, fresh)
+        count = torch.where(closed, self.points, count)
+        planned = renewed | closed
+        pending = torch.where(planned.unsqueeze(-1), fresh, pending)
+        pending_length = torch.where(planned, count, pending_length)
+        steps = torch.where(planned, torch.where(first, 0, self.latency_steps), steps)
+        arrived = steps == 0
+        route = torch.where(arrived.unsqueeze(-1), pending, route)
+        length = torch.where(arrived, pending_length, length)
+        ahead = torch.where(arrived, 0, ahead)
+        steps = torch.where(steps >= 0, steps - 1, steps)
+        status = torch.where(found >= 0, found, status)
+        replans = replans + (planned & ~first)
+        points = next_two(route, length, ahead)
+        moved = moved & renewed
+        return (
+            *(route, length, ahead, points, pending, pending_length, steps),
+            *(hover, status, replans, moved),
+        )
+
+
+@torch.library.custom_op("resc::replan", mutates_args=())
+def _replan(
+    due: Tensor,
+    always: Tensor,
+    index: Tensor,
+    origin: Tensor,
+    size: Tensor,
+    position: Tensor,
+    velocity: Tensor,
+    goal: Tensor,
+    clearance: Tensor,
+    esdf: Tensor,
+    route: Tensor,
+    length: Tensor,
+    ahead: Tensor,
+    numbers: list[float],
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    n, room, _ = route.shape
+    status, counts = np.full(n, -1, np.int64), np.zeros(n, np.int64)
+    fresh, moved = np.zeros((n, room, 2)), np.zeros(n, np.bool_)
+    columns = [tensor[:, 0] for tensor in (due, always, index)]
+    maps = [tensor.double() for tensor in (origin, size)]
+    ends = [tensor[:, :2].double() for tensor in (position, velocity, goal)]
+    of_route = [route[..., :2].double(), length[:, 0], ahead[:, 0]]
+    given = (*columns, *maps, *ends, clearance[:, 0].double(), esdf, *of_route)
+    arrays = [tensor.cpu().contiguous().numpy() for tensor in given]
+    *others, expansions, least, most, nominal = numbers
+    settings = (*others, int(expansions), (least, most, nominal))
+    share_out(
+        replanning_kernels.renew,
+        n,
+        torch.get_num_threads(),
+        *arrays,
+        settings,
+        status,
+        fresh,
+        counts,
+        moved,
+        least=LEAST,
+    )
+    points = torch.from_numpy(fresh).to(route)
+    last = (torch.from_numpy(counts) - 1).clamp(min=0).to(route.device)
+    number = torch.arange(room, device=route.device)
+    points = points.gather(
+        1, torch.minimum(number, last.unsqueeze(-1)).unsqueeze(-1).expand(n, room, 2)
+    )
+    height = goal[:, None, 2:].expand(n, room, 1)
+    told = [torch.from_numpy(values).unsqueeze(-1).to(route.device) for values in (status, counts)]
+    flags = torch.from_numpy(moved).unsqueeze(-1).to(route.device)
+    return told[0], torch.cat((points, height), -1), told[1], flags
+
+
+@_replan.register_fake
+def _(*given: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    due, route, length = given[0], given[10], given[11]
+    whole = torch.empty_like(length)
+    return whole, torch.empty_like(route), torch.empty_like(length), torch.empty_like(due)

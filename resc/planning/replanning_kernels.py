@@ -1,0 +1,223 @@
+"""Routes renewed in flight, on the map that each vehicle knows: compiled loops over environments.
+
+`settings` are the edge of a cell [m], how far ahead of the vehicle a route is checked [m], what it
+must keep [m], how far an end inside the clearance may be moved [m], by how much a route that goes
+on may be longer than one that turns back [m], the greatest number of expansions, and the spacing of
+control points (`resc.planning.control_points`).
+"""
+
+from math import floor, hypot, sqrt
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from resc.planning.control_points import visible_points
+from resc.planning.searches.cone_scan import build_table
+from resc.planning.searches.corner_astar import find_path
+from resc.planning.searches.open_list import BUDGET, FOUND, workspace
+
+ON_ROUTE, RENEWED, CLOSED_OFF, GAVE_UP = range(4)
+"""What a check finds: a free route; a blocked one renewed, closed off, or too hard to find."""
+
+SLOW_MPS = 0.5
+"""A slower vehicle may turn to any side."""
+BEHIND_M, BESIDE_M = 2.5, 0.3
+"""How far a vehicle that goes on keeps from the way it came, and what still lies beside it."""
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def renew(
+    first,
+    last,
+    due,
+    always,
+    index,
+    origin,
+    size,
+    position,
+    velocity,
+    goal,
+    clearance,
+    esdf,
+    route,
+    length,
+    ahead,
+    settings,
+    status,
+    fresh,
+    counts,
+    moved,
+):
+    """Checks the routes of rows [first, last) that are due, and plans again where that must be.
+
+    Args:
+        first: First row.
+        last: Beyond the last row.
+        due: Whether a row is checked.
+        always: Whether it is planned again whatever the check finds.
+        index: Entry of the pool.
+        origin: Lower-left corners of the pool's maps [m].
+        size: Their extents [m].
+        position: Of the vehicles in x and y [m].
+        velocity: In x and y [m/s].
+        goal: In x and y [m].
+        clearance: What a new route keeps from known obstacles [m].
+        esdf: Known distance fields [m].
+        route: Control points in x and y [m].
+        length: How many.
+        ahead: Number of the next one.
+        settings: See above.
+        status: Written: what the check found; -1 where none was due.
+        fresh: Written: the new control points [m].
+        counts: Written: how many of them.
+        moved: Written: whether start or goal had to be moved out of the clearance.
+    """
+    cell_m, look_m, margin_m, link_m, turn_m, expansions, limits = settings
+    _, height, width = esdf.shape
+    work = workspace(height * width, 8 * height * width)
+    blocked = np.empty((height, width), np.bool_)
+    query = 0
+    for n in range(first, last):
+        status[n] = -1
+        if not due[n]:
+            continue
+        entry = index[n]
+        corner = origin[entry, 0], origin[entry, 1]
+        columns = min(width, int(size[entry, 0] / cell_m + 0.5))
+        rows = min(height, int(size[entry, 1] / cell_m + 0.5))
+        known = esdf[n, :rows, :columns]
+        if not always[n] and _is_clear(
+            known, corner, cell_m, position[n], route[n], length[n], ahead[n], look_m, margin_m
+        ):
+            status[n] = ON_ROUTE
+            continue
+        squared = floor((clearance[n] / cell_m) ** 2 + 1e-9)
+        least = sqrt(squared) * cell_m + 1e-4
+        room = blocked[:rows, :columns]
+        for y in range(rows):
+            for x in range(columns):
+                room[y, x] = known[y, x] <= least
+        chart = room.copy()
+        frame = (corner[0] + 0.5 * cell_m, corner[1] + 0.5 * cell_m, cell_m)
+        start = _freed(chart, position[n], frame, link_m)
+        end = _freed(chart, goal[n], frame, link_m)
+        if start[2] < 0 or end[2] < 0:
+            status[n] = CLOSED_OFF
+            continue
+        query += 2
+        found = find_path(chart, build_table(chart), start, end, frame, expansions, query, work)
+        if found[0] != FOUND:
+            status[n] = GAVE_UP if found[0] == BUDGET else CLOSED_OFF
+            continue
+        path = work[-1][: found[1]].copy()
+        if _turns_back(path, velocity[n]):
+            onward = chart.copy()
+            _close_behind(onward, position[n], velocity[n], frame)
+            if not onward[start[3], start[2]] and not onward[end[3], end[2]]:
+                table = build_table(onward)
+                found = find_path(onward, table, start, end, frame, expansions, query + 1, work)
+                other = work[-1][: found[1]]
+                if found[0] == FOUND and _length(other) <= _length(path) + turn_m:
+                    path, chart = other.copy(), onward
+        points = visible_points(path, chart, frame, limits, squared >= 4)
+        status[n] = RENEWED
+        linked = start[0] != position[n, 0] or start[1] != position[n, 1]
+        moved[n] = linked or end[0] != goal[n, 0] or end[1] != goal[n, 1]
+        at = 0
+        if linked and len(points) < fresh.shape[1]:
+            fresh[n, 0, 0], fresh[n, 0, 1] = start[0], start[1]
+            at = 1
+        for k in range(min(len(points), fresh.shape[1] - at)):
+            fresh[n, at + k, 0], fresh[n, at + k, 1] = points[k, 0], points[k, 1]
+        counts[n] = min(at + len(points), fresh.shape[1])
+        fresh[n, counts[n] - 1, 0] = points[len(points) - 1, 0]
+        fresh[n, counts[n] - 1, 1] = points[len(points) - 1, 1]
+
+
+@njit(cache=True)
+@no_type_check
+def _is_clear(known, corner, cell_m, position, route, length, ahead, look_m, margin_m):
+    """Whether the way to the next control points keeps the margin, once it keeps it at all.
+
+    A vehicle inside the margin has left its route already: what counts is where it goes from there.
+    """
+    height, width = known.shape
+    inside, gone = True, 0.0
+    x, y = position[0], position[1]
+    for k in range(min(ahead, length - 1), length):
+        far = hypot(route[k, 0] - x, route[k, 1] - y)
+        steps = max(1, int(far / (0.5 * cell_m)) + 1)
+        for s in range(steps + 1):
+            if gone + far * s / steps > look_m:
+                return True
+            px = x + (route[k, 0] - x) * s / steps
+            py = y + (route[k, 1] - y) * s / steps
+            column, row = floor((px - corner[0]) / cell_m), floor((py - corner[1]) / cell_m)
+            if not (0 <= column < width and 0 <= row < height):
+                continue
+            near = known[row, column] < margin_m
+            if near and not inside:
+                return False
+            inside = inside and near
+        gone += far
+        x, y = route[k, 0], route[k, 1]
+    return not inside
+
+
+@njit(cache=True)
+@no_type_check
+def _freed(blocked, point, frame, link_m):
+    """The point [m] and its cell, or the nearest free cell within reach; column -1 without one."""
+    x0_m, y0_m, cell_m = frame
+    height, width = blocked.shape
+    column = floor((point[0] - x0_m) / cell_m + 0.5 + 1e-9)
+    row = floor((point[1] - y0_m) / cell_m + 0.5 + 1e-9)
+    if 0 <= column < width and 0 <= row < height and not blocked[row, column]:
+        return point[0], point[1], column, row
+    reach = int(link_m / cell_m)
+    best, u, v = link_m * link_m, -1, -1
+    for y in range(max(0, row - reach), min(height, row + reach + 1)):
+        for x in range(max(0, column - reach), min(width, column + reach + 1)):
+            if not blocked[y, x]:
+                far = (x0_m + x * cell_m - point[0]) ** 2 + (y0_m + y * cell_m - point[1]) ** 2
+                if far < best:
+                    best, u, v = far, x, y
+    return x0_m + u * cell_m, y0_m + v * cell_m, u, v
+
+
+@njit(cache=True)
+@no_type_check
+def _turns_back(path, velocity):
+    """Whether a path begins against the motion of a vehicle that is not slow."""
+    if len(path) < 2 or hypot(velocity[0], velocity[1]) < SLOW_MPS:
+        return False
+    along = (path[1, 0] - path[0, 0]) * velocity[0] + (path[1, 1] - path[0, 1]) * velocity[1]
+    return along < 0
+
+
+@njit(cache=True)
+@no_type_check
+def _close_behind(blocked, position, velocity, frame):
+    """Blocks the cells near the vehicle that lie against its motion, but those next to it."""
+    x0_m, y0_m, cell_m = frame
+    height, width = blocked.shape
+    speed = hypot(velocity[0], velocity[1])
+    reach = int(BEHIND_M / cell_m)
+    column, row = int((position[0] - x0_m) / cell_m), int((position[1] - y0_m) / cell_m)
+    for y in range(max(0, row - reach), min(height, row + reach + 1)):
+        for x in range(max(0, column - reach), min(width, column + reach + 1)):
+            east, north = x0_m + x * cell_m - position[0], y0_m + y * cell_m - position[1]
+            along = (east * velocity[0] + north * velocity[1]) / speed
+            if along < -BESIDE_M and east * east + north * north <= BEHIND_M * BEHIND_M:
+                blocked[y, x] = True
+
+
+@njit(cache=True)
+@no_type_check
+def _length(path):
+    total = 0.0
+    for k in range(len(path) - 1):
+        total += hypot(path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1])
+    return total
