@@ -440,6 +440,12 @@ class Stages(nn.Module):
                 "episodes succeed; let it write whether the task is done."
             )
         self._require_use()
+        if self.terms.replanning and not self.terms.sensing:
+            raise ConfigError(
+                f"{self.terms.replanning.path} goes by the map that a vehicle knows, but without a "
+                "sensing the whole map is known from the beginning; choose sensing=local, depth or "
+                "lidar2d, or replanning=none."
+            )
         kept = set(self.persistent)
         past = {key for key in self.memory if key[1:] in kept}
         shared = {key for key, declared in DECLARED.items() if declared.shared}

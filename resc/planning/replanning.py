@@ -15,6 +15,7 @@ from resc.maps.cpu_kernels import share_out
 from resc.math.route import next_two
 from resc.planning import replanning_kernels
 from resc.planning.replanning_kernels import CLOSED_OFF, RENEWED
+from resc.planning.searches.open_list import workspace
 from resc.quantities import NotNegative, Positive, Within
 from resc.term import Context, Replanning
 
@@ -122,6 +123,9 @@ class InFlight(Replanning):
         limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
         self.numbers = (ahead_m, margin_m, link_m, turn_m, max_expansions)
         self.limits = limits
+        # numba: once a kernel that calls it is loaded from its cache, a function that gives arrays
+        # to Python lacks their type, unless it was loaded before.
+        workspace(1, 1)
 
     def bind(self, context: Context) -> None:
         """Takes the size of a cell, and how many steps there are between two checks."""

@@ -1,0 +1,195 @@
+"""Routes that are planned again in flight."""
+
+import itertools
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from resc import keys
+from resc.errors import ConfigError
+from resc.maps.constants import TRUNCATION_M
+from resc.maps.distance_transform import distance_transform
+from resc.planning.replanning import InFlight
+from resc.planning.replanning_kernels import CLOSED_OFF, ON_ROUTE, RENEWED
+from resc.setup import build_stages
+from resc.term import Context
+
+GOAL = (5.0, 0.0, 1.2)
+
+
+def known(*boxes):
+    """The known field of a map of 12 x 12 m around (0, 0), with boxes (x0, x1, y0, y1) [m]."""
+    occupied = torch.zeros(1, 120, 120, dtype=torch.bool)
+    for box in boxes:
+        x0, x1, y0, y1 = (round((value + 6) * 10) for value in box)
+        occupied[0, y0:y1, x0:x1] = True
+    return distance_transform(occupied, 0.1, TRUNCATION_M)
+
+
+class Flight:
+    """One vehicle at rest at (-4, 0), its route straight to the goal, and the term."""
+
+    def __init__(self, **options):
+        self.term = InFlight(**options).named("replanning")
+        self.term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
+        route = torch.tensor([[[-2.0, 0.0, 1.2], [2.0, 0.0, 1.2], GOAL]])
+        self.tensors = {
+            keys.POSITION_W: torch.tensor([[-4.0, 0.0, 1.0]]),
+            keys.VELOCITY_W: torch.zeros(1, 3),
+            keys.SCENE_INDEX: torch.zeros(1, 1, dtype=torch.int64),
+            keys.MAP_ORIGIN_W: torch.tensor([[-6.0, -6.0]]),
+            keys.MAP_SIZE: torch.tensor([[12.0, 12.0]]),
+            keys.ROUTE_W: route,
+            keys.ROUTE_LENGTH: torch.tensor([[3]]),
+            keys.ROUTE_INDEX: torch.tensor([[0]]),
+            keys.CONTROL_POINTS_W: route[:, :2],
+            keys.ROUTE_CLEARANCE: torch.tensor([[torch.inf]]),
+        }
+        self.tensors |= self.term.begin(self.tensors)
+
+    def check(self, clock, field):
+        """The status after a step."""
+        self.tensors |= {keys.CLOCK: torch.full((1, 1), float(clock)), keys.KNOWN_ESDF: field}
+        self.term.run(self.tensors)
+        return int(self.tensors[keys.REPLAN_STATUS])
+
+    @property
+    def route(self):
+        return self.tensors[keys.ROUTE_W][0, : int(self.tensors[keys.ROUTE_LENGTH])]
+
+
+def clearance_along(flight, field):
+    """The least known distance on the lines from the vehicle through its route [m]."""
+    points = torch.cat((flight.tensors[keys.POSITION_W], flight.route))[:, :2]
+    least = TRUNCATION_M
+    for a, b in itertools.pairwise(points):
+        at = a + (b - a) * torch.linspace(0, 1, 200).unsqueeze(-1)
+        cell = ((at + 6) * 10).floor().long()
+        least = min(least, float(field[0, cell[:, 1], cell[:, 0]].min()))
+    return least
+
+
+WALL = (-0.1, 0.1, -2.0, 1.0)
+
+
+def test_the_first_route_is_planned_at_once_whatever_the_scene_gave():
+    flight = Flight(latency_steps=5)
+    assert flight.check(0, known(WALL)) == RENEWED
+    assert_close(flight.route[-1], torch.tensor(GOAL))
+    assert clearance_along(flight, known(WALL)) >= 0.4
+    assert int(flight.tensors[keys.REPLANS]) == 0
+
+
+def test_a_free_route_stays():
+    flight = Flight()
+    flight.check(0, known())
+    before = flight.route.clone()
+    for clock in range(1, 12):
+        assert flight.check(clock, known((-0.1, 0.1, 1.0, 3.0))) == (ON_ROUTE if clock > 1 else 1)
+    assert torch.equal(flight.route, before)
+
+
+@pytest.mark.parametrize("latency", [0, 1, 4])
+def test_a_blocked_route_is_renewed_and_arrives_late(latency):
+    flight = Flight(latency_steps=latency, check_hz=50.0)
+    flight.check(0, known())
+    before = flight.route.clone()
+    assert flight.check(1, known(WALL)) == RENEWED
+    for step in range(latency):
+        assert torch.equal(flight.route, before)
+        flight.check(2 + step, known(WALL))
+    assert not torch.equal(flight.route[:1], before[:1])
+    assert clearance_along(flight, known(WALL)) >= 0.4
+    assert int(flight.tensors[keys.REPLANS]) == 1
+    assert_close(flight.tensors[keys.CONTROL_POINTS_W][0, 0], flight.route[0])
+    assert int(flight.tensors[keys.ROUTE_INDEX]) == 0
+    for clock in range(10, 20):
+        assert flight.check(clock, known(WALL)) == ON_ROUTE
+
+
+def test_checks_come_at_their_rate_and_look_only_so_far_ahead():
+    flight = Flight(check_hz=10.0)
+    flight.check(0, known())
+    found = [flight.check(clock, known(WALL)) for clock in range(1, 6)]
+    assert found == [1, 1, 1, 1, RENEWED]
+    assert int(flight.tensors[keys.REPLANS]) == 1
+    near = Flight(check_hz=50.0, ahead_m=3.0)
+    near.check(0, known())
+    assert near.check(1, known(WALL)) == ON_ROUTE
+    near.tensors[keys.POSITION_W] = torch.tensor([[-2.5, 0.0, 1.0]])
+    assert near.check(2, known(WALL)) == RENEWED
+
+
+def test_a_goal_that_closes_off_makes_the_vehicle_wait_and_the_way_that_opens_go_on():
+    flight = Flight(check_hz=50.0)
+    flight.check(0, known())
+    closed = known((-0.1, 0.1, -6.0, 6.0))
+    assert flight.check(1, closed) == CLOSED_OFF
+    for clock in range(2, 30):
+        assert flight.check(clock, closed) == CLOSED_OFF
+        assert int(flight.tensors[keys.ROUTE_INDEX]) < int(flight.tensors[keys.ROUTE_LENGTH])
+    assert_close(flight.tensors[keys.CONTROL_POINTS_W][0], torch.tensor([[-4.0, 0.0, 1.0]] * 2))
+    for clock in range(30, 34):
+        flight.check(clock, known(WALL))
+    assert int(flight.tensors[keys.REPLAN_STATUS]) == ON_ROUTE
+    assert_close(flight.route[-1], torch.tensor(GOAL))
+
+
+def test_an_end_inside_the_clearance_is_moved_and_flagged():
+    flight = Flight()
+    field = known((4.5, 4.8, -0.3, 0.3))
+    assert flight.check(0, field) == RENEWED
+    assert bool(flight.tensors[keys.REPLAN_MOVED])
+    end = flight.route[-1]
+    assert torch.linalg.vector_norm(end - torch.tensor(GOAL)) < 0.5
+    assert field[0, int((end[1] + 6) * 10), int((end[0] + 6) * 10)] > 0.4
+    walled = known((4.0, 6.0, -1.5, 1.5))
+    assert Flight().check(0, walled) == CLOSED_OFF
+
+
+def test_a_moving_vehicle_turns_back_only_for_a_much_shorter_way():
+    across = (0.0, 0.2, -4.0, 3.0)  # the shortest way goes through the gap above
+    routes = {}
+    for turn_m in (0.0, 8.0):
+        flight = Flight(check_hz=50.0, turn_m=turn_m)
+        flight.check(0, known())
+        flight.tensors[keys.POSITION_W] = torch.tensor([[-0.8, 0.5, 1.0]])
+        flight.tensors[keys.VELOCITY_W] = torch.tensor([[0.5, -2.5, 0.0]])
+        assert flight.check(1, known(across)) == RENEWED
+        flight.check(2, known(across))
+        routes[turn_m] = flight.route[0, 1] - 0.5
+    assert routes[0.0] > 0 > routes[8.0]
+
+
+def test_flights_replan_on_what_they_see_and_the_same_seed_gives_the_same_bits(make_env):
+    chosen = ("scene=planned", "num_envs=8", "sensing=depth", "replanning=in_flight")
+    ends = []
+    for _ in range(2):
+        env = make_env(*chosen)
+        env.restart(torch.arange(8))
+        assert (env.value_of(keys.REPLAN_STATUS) <= CLOSED_OFF).all()
+        for _ in range(40):
+            env.advance(torch.tensor([[0.0, 0.1, 0.0, 0.02]]).expand(8, 4))
+        ends.append({key: value.clone() for key, value in env.tensors.items()})
+    for key, value in ends[0].items():
+        assert torch.equal(value, ends[1][key]), key
+    assert ends[0][keys.REPLANS].sum() > 0
+    begun = ends[0][keys.REPLANS][:, 0] * 0
+    env.restart(torch.arange(8))
+    assert torch.equal(env.value_of(keys.REPLANS)[:, 0], begun)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "sentence"),
+    [
+        ([], "replanning goes by the map that a vehicle knows.* choose sensing=local"),
+        (["sensing=depth", "replanning.clearance_m=0.2"], r"clearance_m is 0\.2, below margin_m"),
+        (["sensing=depth", "replanning.points=8", "replanning.check_hz=1"], "check_hz is 1, one"),
+        (["sensing=depth", "replanning.spacing_m=[2,1]"], r"spacing_m is \[2.0, 1.0\]; expec"),
+        (["sensing=depth", "replanning.latency_steps=-1"], r"replanning\.latency_steps is -1"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(compose, overrides, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        build_stages(compose("replanning=in_flight", *overrides))
