@@ -1,5 +1,6 @@
 """What all ways of sensing the map share: the keys they read and write, their rate, evidence."""
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, TypedDict
 
@@ -11,9 +12,9 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.keys import NestedKey
 from resc.maps.constants import TRUNCATION_M
-from resc.maps.known_map import UNKNOWN, Evidence
+from resc.maps.known_map import UNKNOWN, Beams, Evidence, scan
 from resc.maps.observation import MAP_KEYS
-from resc.quantities import Positive, Within
+from resc.quantities import NotNegative, Positive, Within
 from resc.term import Context, Sensing
 
 Tenths = Annotated[int, Within(-127, 127)]
@@ -24,6 +25,7 @@ class SensingOptions(TypedDict, total=False):
     """The arguments of `MapSensing`, which a sensing with its own takes as `**options`."""
 
     rate_hz: Positive
+    round_m: NotNegative
     hit: Tenths
     miss: Tenths
     least: Tenths
@@ -38,8 +40,12 @@ class MapSensing(Sensing):
     the released mapping (facts 10) a hit adds 6, so that it takes three: at 10 Hz and 3 m/s that is
     up to 0.9 m of flight.
 
+    A vehicle has looked round before its episode begins: what is in sight within `round_m` is known,
+    without errors. One that knew nothing would fly its first metres into the unseen.
+
     Args:
         rate_hz: Scans per second, at most one for each control step.
+        round_m: How far it has looked round; 0 for not at all.
         hit: Added to the evidence of a cell where a beam ends.
         miss: Added where beams pass; below zero.
         least: Greatest certainty that a cell is free.
@@ -61,6 +67,7 @@ class MapSensing(Sensing):
         self,
         *,
         rate_hz: Positive = 10.0,
+        round_m: NotNegative = 5.0,
         hit: Tenths = 16,
         miss: Tenths = -6,
         least: Tenths = -20,
@@ -74,6 +81,7 @@ class MapSensing(Sensing):
                 f"{occupied}; expected hit > 0 > miss, and least < 0 < occupied <= most."
             )
         self.rate_hz = rate_hz
+        self.round_m = round_m
         self.evidence = Evidence(hit, miss, least, most, occupied)
 
     def bind(self, context: Context) -> None:
@@ -87,13 +95,22 @@ class MapSensing(Sensing):
             )
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
-        """Nothing is known."""
-        shape = len(tensors[keys.POSITION_W]), *tensors[keys.ESDF].shape[1:]
+        """What is in sight all round is known."""
         like = tensors[keys.POSITION_W]
-        return {
-            keys.KNOWN_EVIDENCE: like.new_full(shape, UNKNOWN, dtype=torch.int8),
-            keys.KNOWN_ESDF: like.new_full(shape, TRUNCATION_M),
-        }
+        shape = len(like), *tensors[keys.ESDF].shape[1:]
+        evidence = like.new_full(shape, UNKNOWN, dtype=torch.int8)
+        esdf = like.new_full(shape, TRUNCATION_M)
+        if self.round_m:
+            count = math.ceil(2 * math.pi * self.round_m / self.resolution_m)
+            angle = torch.arange(count, device=like.device) * (2 * math.pi / count)
+            around = torch.stack((angle.cos(), angle.sin()), -1).expand(len(like), -1, -1)
+            none = torch.zeros_like(around[..., 0])
+            beams = Beams(like[:, :2], around, none + self.round_m, none, none)
+            index, truth, origin, size = (tensors[key] for key in MAP_KEYS)
+            field = (index, truth, origin, size)
+            every = torch.ones_like(like[:, :1], dtype=torch.bool)
+            scan(field, beams, every, evidence, esdf, self.evidence, self.resolution_m)
+        return {keys.KNOWN_EVIDENCE: evidence, keys.KNOWN_ESDF: esdf}
 
     def due(self, clock: Float[Tensor, "n 1"]) -> Bool[Tensor, "n 1"]:
         """Whether a scan is due: one is in the first step."""
