@@ -40,8 +40,8 @@ class MapSensing(Sensing):
     the released mapping (facts 10) a hit adds 6, so that it takes three: at 10 Hz and 3 m/s that is
     up to 0.9 m of flight.
 
-    A vehicle has looked round before its episode begins: what is in sight within `round_m` is known,
-    without errors. One that knew nothing would fly its first metres into the unseen.
+    A vehicle has looked round before its episode begins: what is in sight within `round_m` is
+    known without errors. One that knew nothing would fly its first metres into the unseen.
 
     Args:
         rate_hz: Scans per second, at most one for each control step.

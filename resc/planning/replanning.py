@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int8
 from torch import Tensor
 
 from resc import keys
@@ -29,9 +29,10 @@ class InFlight(Replanning):
     """Checks the route ahead `check_hz` times a second, and plans it again where it is blocked.
 
     The search is exact (`resc.planning.searches.exact`), from where the vehicle is to the goal, on
-    the map that it knows; what is unknown counts as free. So a route is the shortest one that is
-    not known to be blocked, and remains that until a new obstacle lies on it: nothing is gained by
-    planning without a cause. The policy flies on by the old control points until the new ones
+    the map that it knows; what is unknown counts as free, but near the vehicle: within `seen_m`, a
+    route leads through cells that were seen, if there is such a way. So it is the shortest one that
+    is not known to be blocked, and remains that until a new obstacle lies on it: nothing is gained
+    by planning without a cause. The policy flies on by the old control points until the new ones
     arrive, `latency_steps` after the map that they are planned on. The first route of an episode is
     planned at once, on what the first look shows.
 
@@ -51,6 +52,7 @@ class InFlight(Replanning):
             or the margin where that is not known.
         link_m: How far an end may be moved out of the clearance.
         turn_m: How much longer a route may be that goes on than one that turns back.
+        seen_m: How near the vehicle a route has to lead through cells that were seen.
         latency_steps: Control steps from a map to the route that is planned on it.
         max_expansions: Work after which a search gives up.
         spacing_m: Least and greatest distance between control points.
@@ -66,6 +68,7 @@ class InFlight(Replanning):
         keys.MAP_ORIGIN_W,
         keys.MAP_SIZE,
         keys.KNOWN_ESDF,
+        keys.KNOWN_EVIDENCE,
         keys.ROUTE_W,
         keys.ROUTE_LENGTH,
         keys.ROUTE_INDEX,
@@ -102,6 +105,7 @@ class InFlight(Replanning):
         clearance_m: Positive | None = 0.4,
         link_m: NotNegative = 1.0,
         turn_m: NotNegative = 4.0,
+        seen_m: NotNegative = 1.0,
         latency_steps: Annotated[int, Within(0, 50)] = 1,
         max_expansions: Annotated[int, Within(1, 1e9)] = 100_000,
         spacing_m: Sequence[Positive] = (1.0, 2.0),
@@ -121,7 +125,7 @@ class InFlight(Replanning):
         self.latency_steps = latency_steps
         self.points = points
         limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
-        self.numbers = (ahead_m, margin_m, link_m, turn_m, max_expansions)
+        self.numbers = (ahead_m, margin_m, link_m, turn_m, seen_m, max_expansions)
         self.limits = limits
         # numba: once a kernel that calls it is loaded from its cache, a function that gives arrays
         # to Python lacks their type, unless it was loaded before.
@@ -182,6 +186,7 @@ class InFlight(Replanning):
         origin: Float[Tensor, "p 2"],
         size: Float[Tensor, "p 2"],
         esdf: Float[Tensor, "n h w"],
+        evidence: Int8[Tensor, "n h w"],
         route: Float[Tensor, "n k 3"],
         length: Int[Tensor, "n 1"],
         ahead: Int[Tensor, "n 1"],
@@ -208,6 +213,7 @@ class InFlight(Replanning):
             goal,
             clearance,
             esdf,
+            evidence,
             route,
             length,
             ahead,
@@ -249,6 +255,7 @@ def _replan(
     goal: Tensor,
     clearance: Tensor,
     esdf: Tensor,
+    evidence: Tensor,
     route: Tensor,
     length: Tensor,
     ahead: Tensor,
@@ -261,7 +268,7 @@ def _replan(
     maps = [tensor.double() for tensor in (origin, size)]
     ends = [tensor[:, :2].double() for tensor in (position, velocity, goal)]
     of_route = [route[..., :2].double(), length[:, 0], ahead[:, 0]]
-    given = (*columns, *maps, *ends, clearance[:, 0].double(), esdf, *of_route)
+    given = (*columns, *maps, *ends, clearance[:, 0].double(), esdf, evidence, *of_route)
     arrays = [tensor.cpu().contiguous().numpy() for tensor in given]
     *others, expansions, least, most, nominal = numbers
     settings = (*others, int(expansions), (least, most, nominal))
@@ -291,6 +298,6 @@ def _replan(
 
 @_replan.register_fake
 def _(*given: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    due, route, length = given[0], given[10], given[11]
+    due, route, length = given[0], given[11], given[12]
     whole = torch.empty_like(length)
     return whole, torch.empty_like(route), torch.empty_like(length), torch.empty_like(due)

@@ -2,16 +2,17 @@
 
 `settings` are the edge of a cell [m], how far ahead of the vehicle a route is checked [m], what it
 must keep [m], how far an end inside the clearance may be moved [m], by how much a route that goes
-on may be longer than one that turns back [m], the greatest number of expansions, and the spacing of
-control points (`resc.planning.control_points`).
+on may be longer than one that turns back [m], within which distance of the vehicle cells have to be
+seen [m], the greatest number of expansions, and the spacing of control points
+(`resc.planning.control_points`).
 """
 
 from math import floor, hypot, sqrt
 from typing import no_type_check
 
-import numpy as np
 from numba import njit
 
+from resc.maps.known_map_kernels import UNKNOWN
 from resc.planning.control_points import visible_points
 from resc.planning.searches.cone_scan import build_table
 from resc.planning.searches.corner_astar import find_path
@@ -41,6 +42,7 @@ def renew(
     goal,
     clearance,
     esdf,
+    evidence,
     route,
     length,
     ahead,
@@ -65,6 +67,7 @@ def renew(
         goal: In x and y [m].
         clearance: What a new route keeps from known obstacles [m].
         esdf: Known distance fields [m].
+        evidence: Of the cells (`resc.maps.known_map`).
         route: Control points in x and y [m].
         length: How many.
         ahead: Number of the next one.
@@ -74,10 +77,9 @@ def renew(
         counts: Written: how many of them.
         moved: Written: whether start or goal had to be moved out of the clearance.
     """
-    cell_m, look_m, margin_m, link_m, turn_m, expansions, limits = settings
+    cell_m, look_m, margin_m, link_m, turn_m, seen_m, expansions, limits = settings
     _, height, width = esdf.shape
     work = workspace(height * width, 8 * height * width)
-    blocked = np.empty((height, width), np.bool_)
     query = 0
     for n in range(first, last):
         status[n] = -1
@@ -88,26 +90,30 @@ def renew(
         columns = min(width, int(size[entry, 0] / cell_m + 0.5))
         rows = min(height, int(size[entry, 1] / cell_m + 0.5))
         known = esdf[n, :rows, :columns]
-        if not always[n] and _is_clear(
-            known, corner, cell_m, position[n], route[n], length[n], ahead[n], look_m, margin_m
-        ):
+        unseen = evidence[n, :rows, :columns] == UNKNOWN
+        way = route[n, min(ahead[n], length[n] - 1) : length[n]]
+        reach = look_m, margin_m, seen_m
+        if not always[n] and _is_clear(known, unseen, corner, cell_m, position[n], way, reach):
             status[n] = ON_ROUTE
             continue
         squared = floor((clearance[n] / cell_m) ** 2 + 1e-9)
         least = sqrt(squared) * cell_m + 1e-4
-        room = blocked[:rows, :columns]
-        for y in range(rows):
-            for x in range(columns):
-                room[y, x] = known[y, x] <= least
-        chart = room.copy()
+        room = known <= least
         frame = (corner[0] + 0.5 * cell_m, corner[1] + 0.5 * cell_m, cell_m)
-        start = _freed(chart, position[n], frame, link_m)
-        end = _freed(chart, goal[n], frame, link_m)
+        start = _freed(room, position[n], frame, link_m)
+        end = _freed(room, goal[n], frame, link_m)
         if start[2] < 0 or end[2] < 0:
             status[n] = CLOSED_OFF
             continue
-        query += 2
-        found = find_path(chart, build_table(chart), start, end, frame, expansions, query, work)
+        chart = room.copy()
+        _close_unseen(chart, unseen, position[n], frame, seen_m)
+        query += 3
+        if chart[start[3], start[2]] or chart[end[3], end[2]]:
+            chart = room
+        found = _found(chart, start, end, frame, expansions, query, work)
+        if found[0] != FOUND:  # then by what is unseen, if there is such a way
+            chart = room
+            found = _found(chart, start, end, frame, expansions, query + 1, work)
         if found[0] != FOUND:
             status[n] = GAVE_UP if found[0] == BUDGET else CLOSED_OFF
             continue
@@ -116,8 +122,7 @@ def renew(
             onward = chart.copy()
             _close_behind(onward, position[n], velocity[n], frame)
             if not onward[start[3], start[2]] and not onward[end[3], end[2]]:
-                table = build_table(onward)
-                found = find_path(onward, table, start, end, frame, expansions, query + 1, work)
+                found = _found(onward, start, end, frame, expansions, query + 2, work)
                 other = work[-1][: found[1]]
                 if found[0] == FOUND and _length(other) <= _length(path) + turn_m:
                     path, chart = other.copy(), onward
@@ -138,32 +143,59 @@ def renew(
 
 @njit(cache=True)
 @no_type_check
-def _is_clear(known, corner, cell_m, position, route, length, ahead, look_m, margin_m):
-    """Whether the way to the next control points keeps the margin, once it keeps it at all.
+def _found(blocked, start, end, frame, expansions, query, work):
+    """What the exact search finds."""
+    return find_path(blocked, build_table(blocked), start, end, frame, expansions, query, work)
+
+
+@njit(cache=True)
+@no_type_check
+def _is_clear(known, unseen, corner, cell_m, position, way, reach):
+    """Whether the way through the next control points keeps the margin, once it keeps it at all.
 
     A vehicle inside the margin has left its route already: what counts is where it goes from there.
+    Near the vehicle, the way must have been seen.
     """
+    look_m, margin_m, seen_m = reach
     height, width = known.shape
     inside, gone = True, 0.0
     x, y = position[0], position[1]
-    for k in range(min(ahead, length - 1), length):
-        far = hypot(route[k, 0] - x, route[k, 1] - y)
+    for k in range(len(way)):
+        far = hypot(way[k, 0] - x, way[k, 1] - y)
         steps = max(1, int(far / (0.5 * cell_m)) + 1)
         for s in range(steps + 1):
             if gone + far * s / steps > look_m:
                 return True
-            px = x + (route[k, 0] - x) * s / steps
-            py = y + (route[k, 1] - y) * s / steps
+            px = x + (way[k, 0] - x) * s / steps
+            py = y + (way[k, 1] - y) * s / steps
             column, row = floor((px - corner[0]) / cell_m), floor((py - corner[1]) / cell_m)
             if not (0 <= column < width and 0 <= row < height):
                 continue
+            away = hypot(px - position[0], py - position[1])
+            if unseen[row, column] and BESIDE_M < away < seen_m:
+                return False
             near = known[row, column] < margin_m
             if near and not inside:
                 return False
             inside = inside and near
         gone += far
-        x, y = route[k, 0], route[k, 1]
+        x, y = way[k, 0], way[k, 1]
     return not inside
+
+
+@njit(cache=True)
+@no_type_check
+def _close_unseen(blocked, unseen, position, frame, seen_m):
+    """Blocks the cells near the vehicle that it has not seen, but those that it is in."""
+    x0_m, y0_m, cell_m = frame
+    height, width = blocked.shape
+    reach = int(seen_m / cell_m) + 1
+    column, row = int((position[0] - x0_m) / cell_m), int((position[1] - y0_m) / cell_m)
+    for y in range(max(0, row - reach), min(height, row + reach + 1)):
+        for x in range(max(0, column - reach), min(width, column + reach + 1)):
+            away = hypot(x0_m + x * cell_m - position[0], y0_m + y * cell_m - position[1])
+            if unseen[y, x] and BESIDE_M < away < seen_m:
+                blocked[y, x] = True
 
 
 @njit(cache=True)
