@@ -10,6 +10,7 @@ from resc import keys
 from resc.errors import ConfigError
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
+from resc.maps.known_map import UNKNOWN
 from resc.planning.replanning import InFlight
 from resc.planning.replanning_kernels import CLOSED_OFF, ON_ROUTE, RENEWED
 from resc.setup import build_stages
@@ -48,9 +49,13 @@ class Flight:
         }
         self.tensors |= self.term.begin(self.tensors)
 
-    def check(self, clock, field):
-        """The status after a step."""
+    def check(self, clock, field, unseen=(0, 0, 0, 0)):
+        """The status after a step, with a box [m] that was never seen."""
+        evidence = torch.full((1, 120, 120), -20, dtype=torch.int8)
+        x0, x1, y0, y1 = (round((value + 6) * 10) for value in unseen)
+        evidence[0, y0:y1, x0:x1] = UNKNOWN
         self.tensors |= {keys.CLOCK: torch.full((1, 1), float(clock)), keys.KNOWN_ESDF: field}
+        self.tensors[keys.KNOWN_EVIDENCE] = evidence
         self.term.run(self.tensors)
         return int(self.tensors[keys.REPLAN_STATUS])
 
@@ -146,6 +151,24 @@ def test_an_end_inside_the_clearance_is_moved_and_flagged():
     assert field[0, int((end[1] + 6) * 10), int((end[0] + 6) * 10)] > 0.4
     walled = known((4.0, 6.0, -1.5, 1.5))
     assert Flight().check(0, walled) == CLOSED_OFF
+
+
+def test_near_the_vehicle_a_route_leads_through_cells_that_were_seen():
+    beside = (-3.6, 0.0, -1.0, 0.5)
+    flight = Flight(check_hz=50.0, seen_m=2.0)
+    flight.check(0, known(), beside)
+    first = flight.route[0]
+    assert first[1] > 0.4
+    assert flight.check(1, known(), beside) == ON_ROUTE
+    far = Flight(check_hz=50.0, seen_m=0.35)
+    far.check(0, known(), beside)
+    assert far.route[0, 1].abs() < 0.01
+
+
+def test_where_all_round_is_unseen_a_route_leads_through_it():
+    flight = Flight(seen_m=2.0)
+    assert flight.check(0, known(), (-6, 6, -6, 6)) == RENEWED
+    assert_close(flight.route[-1], torch.tensor(GOAL))
 
 
 def test_a_moving_vehicle_turns_back_only_for_a_much_shorter_way():

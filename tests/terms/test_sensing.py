@@ -150,7 +150,8 @@ FLIGHT = ("scene=planned", "num_envs=8")
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_policy_goes_by_the_known_map_and_rewards_by_the_true_one(make_env, kind):
     flown = {}
-    near = ["sensing.radius_m=1.0"] * (kind == "local")  # observations reach less than 5 m
+    near = ["sensing.round_m=0"]  # observations reach less than 5 m
+    near += ["sensing.radius_m=1.0"] * (kind == "local")
     for name, more in (("global", []), (kind, near)):
         env = make_env(*FLIGHT, f"sensing={name}", *more)
         env.restart(torch.arange(8))
@@ -185,6 +186,17 @@ def test_an_episode_begins_with_one_look_and_leaves_the_others_alone(make_env, k
     seen = (after != UNKNOWN).flatten(1).sum(1)
     assert (seen[[2, 5]] > 0).all()
     assert (after[[2, 5]].abs() <= 22)[after[[2, 5]] != UNKNOWN].all()
+
+
+def test_a_vehicle_has_looked_round_before_its_episode_begins(make_env):
+    seen = {}
+    for round_m in (0, 2, 5):
+        env = make_env(*FLIGHT, "sensing=depth", f"sensing.round_m={round_m}")
+        env.restart(torch.arange(8))
+        seen[round_m] = (env.value_of(keys.KNOWN_EVIDENCE) != UNKNOWN).flatten(1).sum(1)
+    assert (seen[0] < seen[2]).all()
+    assert (seen[2] < seen[5]).all()
+    assert (seen[2] - seen[0] < math.pi * 2.1**2 * 100).all()
 
 
 def test_the_value_function_sees_the_true_map(make_env):
