@@ -1,0 +1,130 @@
+"""What seeing part of the map and replanning cost: environment steps per second of CPU time.
+
+    python benchmarks/sensing.py                  1024 environments flown by policies/obstacles
+    python benchmarks/sensing.py --envs 256 --json out.json
+    python benchmarks/sensing.py --one            one vehicle, milliseconds a control step
+
+All kinds fly in turn, block by block, in one process; the ratio to the map that is known counts.
+CPU time, so that a machine that is shared does not matter as much. `--one` times each control step
+by the clock: physics, sensing, search, observation and policy.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+from pathlib import Path
+
+import torch
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # when started as a file
+
+from benchmarks.measure import load, machine, sentence, write_json
+from resc import keys
+from resc.door import load_policy
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.policies.stored import StoredPolicy
+from resc.process import prepare_process
+from resc.scenes.pool import ScenePool
+from resc.setup import Setup, build_stages, set_up
+
+POLICY = Path(__file__).parents[1] / "policies" / "obstacles"
+KINDS = {
+    "global": [],
+    "local": ["sensing=local"],
+    "depth": ["sensing=depth"],
+    "lidar2d": ["sensing=lidar2d"],
+    "depth, in_flight": ["sensing=depth", "replanning=in_flight"],
+}
+
+
+class Flown:
+    """An environment flown by a policy, its episodes begun again where they end."""
+
+    def __init__(self, env: QuadrotorEnv, policy: StoredPolicy) -> None:
+        self.env, self.policy = env, policy
+        env.restart(torch.arange(env.num_envs))
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """Flies a control step."""
+        out = self.env.advance(self.policy(self.env.observation))
+        rows = out.done[:, 0].nonzero()[:, 0]
+        if len(rows):
+            self.env.restart(rows)
+
+
+def main() -> None:
+    """Measures, prints the table, writes the figures."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--envs", type=int, default=1024, help="environments")
+    parser.add_argument("--steps", type=int, default=50, help="control steps in a block")
+    parser.add_argument("--blocks", type=int, default=7, help="blocks of each kind; medians count")
+    parser.add_argument("--one", action="store_true", help="one vehicle, by the clock")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+    args = parser.parse_args()
+    prepare_process(1, "cpu")
+    config = load([])
+    pool = set_up(config, size=64 if args.one else config["pool_size"], seed=0).pool
+    print(sentence(machine("cpu", 1)), "", sep="\n")
+    figures = one_vehicle(pool) if args.one else batches(pool, args.envs, args.steps, args.blocks)
+    write_json(args.json, {"figures": figures, **machine("cpu", 1)})
+
+
+def batches(pool: ScenePool, envs: int, steps: int, blocks: int) -> dict[str, dict[str, float]]:
+    """Steps per second and core of each kind, and the ratio to the first."""
+    policy = load_policy(POLICY)
+    flights = {}
+    for name, overrides in KINDS.items():
+        stages = build_stages(load([*overrides, f"num_envs={envs}"]))
+        flights[name] = Flown(Setup(stages, pool).env(envs), policy)
+        for _ in range(steps):
+            flights[name].step()
+    rates: dict[str, list[float]] = {name: [] for name in KINDS}
+    for _ in range(blocks):
+        for name, flight in flights.items():
+            began = time.process_time()
+            for _ in range(steps):
+                flight.step()
+            rates[name].append(steps * envs / (time.process_time() - began))
+    figures = {}
+    print(f"{'':18} steps/s of a core, policy included   over global")
+    for name, found in rates.items():
+        ratio = statistics.median(a / b for a, b in zip(found, rates["global"], strict=True))
+        figures[name] = {"steps_per_s": statistics.median(found), "ratio": ratio}
+        print(f"{name:18} {figures[name]['steps_per_s']:12,.0f} {ratio:34.2f}")
+    return figures
+
+
+def one_vehicle(pool: ScenePool) -> dict[str, dict[str, float]]:
+    """Milliseconds of a control step of one vehicle: without a replan, and with one."""
+    stages = build_stages(load([*KINDS["depth, in_flight"], "num_envs=1"]))
+    flight = Flown(Setup(stages, pool).env(1), load_policy(POLICY))
+    for _ in range(300):
+        flight.step()
+    took: dict[str, list[float]] = {"without a replan": [], "with a replan": []}
+    for _ in range(4000):
+        before = int(flight.env.value_of(keys.REPLANS))
+        began = time.perf_counter()
+        out = flight.env.advance(flight.policy(flight.env.observation))
+        spent = 1e3 * (time.perf_counter() - began)
+        replanned = int(flight.env.value_of(keys.REPLANS)) > before
+        took["with a replan" if replanned else "without a replan"].append(spent)
+        if bool(out.done):
+            flight.env.restart(torch.arange(1))
+    figures = {}
+    for name, found in took.items():
+        found = sorted(found)
+        figures[name] = {
+            "steps": len(found),
+            "median_ms": statistics.median(found),
+            "p99_ms": found[int(0.99 * len(found))],
+        }
+        print(f"{name:18}", {key: round(value, 3) for key, value in figures[name].items()})
+    return figures
+
+
+if __name__ == "__main__":
+    main()
