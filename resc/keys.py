@@ -313,6 +313,16 @@ KNOWN_ESDF = _declare(
     ("known", "esdf"), ("h", "w"), "m", "distance to the nearest cell that is known as occupied"
 )
 
+SENSING_STREAM = _declare(
+    ("known", "stream"),
+    (1,),
+    "-",
+    "where the sequence of the noise stands with which the map is seen",
+    torch.int64,
+)
+KNOWN_MAP = (KNOWN_EVIDENCE, KNOWN_ESDF)
+"""What recordings leave out of how an episode begins: a replay looks again."""
+
 REPLAN_GOAL_W = _declare(("replan", "goal_w"), (3,), "m", "where routes of the episode lead")
 REPLAN_CLEARANCE = _declare(
     ("replan", "clearance"), (1,), "m", "what a new route keeps from known obstacles"
@@ -332,10 +342,10 @@ REPLAN_STATUS = _declare(
     (1,),
     "-",
     "last check of the route: 0 free, 1 blocked and planned again, 2 closed off, 3 search gave up",
-    torch.int64,
+    torch.int32,
 )
 REPLANS = _declare(
-    ("replan", "count"), (1,), "-", "routes planned again in the episode", torch.int64
+    ("replan", "count"), (1,), "-", "routes planned again in the episode", torch.int32
 )
 REPLAN_MOVED = _declare(
     ("replan", "moved"),

@@ -245,7 +245,7 @@ class Sensing(Term):
     place: `writes`, its last `reads`.
     """
 
-    writes: tuple[NestedKey, ...] = (keys.KNOWN_EVIDENCE, keys.KNOWN_ESDF)
+    writes: tuple[NestedKey, ...] = keys.KNOWN_MAP
 
     @property
     def keeps(self) -> tuple[NestedKey, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]

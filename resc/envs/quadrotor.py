@@ -117,8 +117,9 @@ class QuadrotorEnv(EnvBase):
         return self._world[key]
 
     def world_of(self, rows: Tensor) -> World:
-        """All mutable state of some rows [k, ...], copied."""
-        return {key: value[rows] for key, value in self._world.items()}
+        """State of some rows [k, ...], copied: all but the maps that they know."""
+        kept = self._world.keys() - keys.KNOWN_MAP
+        return {key: value[rows] for key, value in self._world.items() if key in kept}
 
     @property
     def flown_difficulties(self) -> dict[str, Tensor]:
@@ -195,12 +196,16 @@ class QuadrotorEnv(EnvBase):
     def begin(self, world: TensorDictBase) -> Tensor:
         """Begins an episode with the given world in every row; returns its observation.
 
-        `world` [n] holds some keys of `world`; the others are as after a restart.
+        `world` [n] holds some keys of `world`; the others are as after a restart, but a map that
+        is known: the vehicle looks again from where it is.
         """
         self.restart(torch.arange(self.num_envs))
         given = {key: world[key].to(self.device) for key in self._world if key in world.keys(True)}
         drawn = self._draw(self.step_draws, self.num_envs)
-        self._world, seen = self.stages.begin(self._world | given, self.pool.shared, drawn)
+        begun = self._world | given
+        if self.stages.terms.sensing and not given.keys() & keys.KNOWN_MAP:
+            begun |= self.stages.look_again(begun, self.pool.shared)
+        self._world, seen = self.stages.begin(begun, self.pool.shared, drawn)
         self.observation, self.observation_critic = seen.split(self.stages.widths, -1)
         return self.observation
 

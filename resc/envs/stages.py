@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from resc import keys
 from resc.errors import ConfigError
 from resc.keys import DECLARED, NestedKey, previous
+from resc.math import stream
 from resc.math.repeat import repeated
 from resc.math.rotation import heading
 from resc.simulation import gyro
@@ -252,6 +253,19 @@ class Stages(nn.Module):
     ) -> tuple[World, Tensor]:
         """World and first observation of episodes that begin with the given world."""
         return self.observe(world, shared, drawn, first=True)
+
+    def look_again(self, world: World, shared: World) -> World:
+        """The maps that were known where episodes began, of worlds that lack them.
+
+        They are what the first look shows, with the noise that the world tells.
+        """
+        sensing = self.terms.sensing
+        assert sensing is not None, "nothing is seen of the map"
+        tensors = {**world, **shared}
+        place = tensors.get(keys.SENSING_STREAM)
+        tensors |= sensing.begin(tensors)
+        _run(sensing, tensors, {} if place is None else {sensing.path: stream.units(place)})
+        return {key: tensors[key] for key in keys.KNOWN_MAP}
 
     def observe(
         self, world: World, shared: World, drawn: Mapping[str, Tensor], *, first: bool

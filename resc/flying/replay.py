@@ -22,7 +22,7 @@ from resc.flying.episodes import RENEWED
 from resc.flying.loop import flown
 from resc.groups import NEEDED
 from resc.keys import NestedKey
-from resc.recording.columns import REWARD_TERMS, STATE_COLUMNS, require_columns
+from resc.recording.columns import REPLAN_COLUMNS, REWARD_TERMS, STATE_COLUMNS, require_columns
 from resc.recording.configuration import require_groups
 from resc.recording.reader import RolloutLog
 from resc.recording.schema import SAMPLED_ACTION
@@ -31,7 +31,7 @@ from resc.run_folder import finish_run, provenance
 from resc.scenes.pool import layout_from
 from resc.setup import among, build_stages
 
-STATE = tuple(column.key for column in STATE_COLUMNS)
+STATE = tuple(column.key for column in (*STATE_COLUMNS, *REPLAN_COLUMNS))
 FLAGS = (keys.TERMINATED, keys.TRUNCATED)
 OUTPUTS = (keys.REWARD, REWARD_TERMS, *FLAGS)
 
@@ -181,8 +181,9 @@ def put_back(env: QuadrotorEnv, world: TensorDict) -> None:
         RecordingError: The recorded world has other parts than the environment's.
     """
     recorded = set(world.keys(include_nested=True, leaves_only=True))
-    if recorded != set(env.stages.persistent):
-        parts = sorted(".".join(key) for key in recorded ^ set(env.stages.persistent))
+    expected = set(env.stages.persistent) - {*keys.KNOWN_MAP}
+    if recorded != expected:
+        parts = sorted(".".join(key) for key in recorded ^ expected)
         raise RecordingError(
             f"The recorded world and that of the simulator differ in {', '.join(parts)}; replay "
             "with the version that recorded it (metadata 'resc.run')."
@@ -211,7 +212,7 @@ def compare(
     for number, (step, (before, _, out)) in enumerate(
         zip(recorded, flown(env, actions), strict=True)
     ):
-        found = {key: before[key] for key in STATE}
+        found = {key: before[key] for key in STATE if key in deviations}
         found |= {key: getattr(out, key[0]) for key in OUTPUTS}
         foreign = FLAGS if cut and number == len(recorded) - 1 else ()
         for key in deviations.keys() - foreign:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Annotated, TypedDict
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from resc import keys
@@ -14,6 +14,7 @@ from resc.keys import NestedKey
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.known_map import UNKNOWN, Beams, Evidence, scan
 from resc.maps.observation import MAP_KEYS
+from resc.math import stream
 from resc.quantities import NotNegative, Positive, Within
 from resc.term import Context, Sensing
 
@@ -61,7 +62,7 @@ class MapSensing(Sensing):
         keys.KNOWN_EVIDENCE,
         keys.KNOWN_ESDF,
     )
-    writes = (keys.KNOWN_EVIDENCE, keys.KNOWN_ESDF)
+    writes: tuple[NestedKey, ...] = keys.KNOWN_MAP
 
     def __init__(
         self,
@@ -117,3 +118,25 @@ class MapSensing(Sensing):
         late = 1e-3  # step * per_step is rounded
         now, before = clock * self.per_step + late, (clock - 1) * self.per_step + late
         return (now.floor() > before.floor()) | (clock == 0)
+
+
+class NoisySensing(MapSensing):
+    """A sensing with noise, which comes from the state: a replay sees what was seen.
+
+    The sequence of an episode begins with two uniform numbers, drawn with its first look.
+    """
+
+    step_draws = 2
+    reads = (*MapSensing.reads, keys.SENSING_STREAM)
+    writes = (*keys.KNOWN_MAP, keys.SENSING_STREAM)
+
+    def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
+        """What is in sight all round is known; the sequence begins with the first look."""
+        none = torch.zeros_like(tensors[keys.SCENE_INDEX])
+        return {**super().begin(tensors), keys.SENSING_STREAM: none}
+
+    def moved_on(
+        self, clock: Float[Tensor, "n 1"], place: Int64[Tensor, "n 1"], unit: Float[Tensor, "n 2"]
+    ) -> Int64[Tensor, "n 1"]:
+        """Where the sequence stands in this step."""
+        return torch.where(clock == 0, stream.first(unit), stream.following(place))

@@ -13,6 +13,12 @@ def first(unit: Float[Tensor, "n d"]) -> Int64[Tensor, "n _"]:
     return (high * 2**24).long() * 2**8 + (low * 2**8).long()
 
 
+def units(place: Int64[Tensor, "n d"]) -> Float[Tensor, "n _"]:
+    """Uniform numbers with which sequences begin there, the inverse of `first`."""
+    high, low = place >> 8, place & 0xFF
+    return torch.cat((high * 2.0**-24, low * 2.0**-8), -1)
+
+
 def following(place: Int64[Tensor, "n d"]) -> Int64[Tensor, "n d"]:
     """The next place of each sequence: a linear congruential generator of 32 bits."""
     return (place * 1664525 + 1013904223) & WORD

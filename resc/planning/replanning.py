@@ -165,8 +165,8 @@ class InFlight(Replanning):
             keys.PENDING_LENGTH: none,
             keys.PENDING_STEPS: none + NONE,
             keys.HOVER_W: position,
-            keys.REPLAN_STATUS: none,
-            keys.REPLANS: none,
+            keys.REPLAN_STATUS: none.to(torch.int32),
+            keys.REPLANS: none.to(torch.int32),
             keys.REPLAN_MOVED: none > 0,
         }
 
@@ -233,7 +233,7 @@ class InFlight(Replanning):
         length = torch.where(arrived, pending_length, length)
         ahead = torch.where(arrived, 0, ahead)
         steps = torch.where(steps >= 0, steps - 1, steps)
-        status = torch.where(found >= 0, found, status)
+        status = torch.where(found >= 0, found.to(torch.int32), status)
         replans = replans + (planned & ~first)
         points = next_two(route, length, ahead)
         moved = moved & renewed

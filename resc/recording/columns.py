@@ -30,7 +30,13 @@ ESTIMATE_COLUMNS = tuple(
     replace(column, key=keys.ESTIMATES[column.key]) for column in STATE_COLUMNS
 )
 """What was estimated of the state, where anything was."""
-FURTHER = (*MEASURED_COLUMNS, *ESTIMATE_COLUMNS)
+REPLAN_COLUMNS = (
+    Column(keys.REPLAN_STATUS, (), "int32", "-"),
+    Column(keys.REPLANS, (), "int32", "-"),
+    Column(keys.REPLAN_MOVED, (), "bool"),
+)
+"""How routes were renewed by then, where they are."""
+FURTHER = (*MEASURED_COLUMNS, *ESTIMATE_COLUMNS, *REPLAN_COLUMNS)
 FLAGS = tuple(Column(key, (), "bool") for key in (keys.TERMINATED, keys.TRUNCATED))
 REWARD_TERMS = ("reward_terms",)
 FLOWN = (*(column.key for column in STATE_COLUMNS), keys.ACTION)

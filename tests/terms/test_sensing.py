@@ -38,7 +38,7 @@ def looked(term, field, *, euler=(0.0, 0.0, 0.0), height=1.0, step=0.0, unit=(0.
     term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
     evidence = torch.full((1, 120, 120), UNKNOWN, dtype=torch.int8)
     esdf = torch.full((1, 120, 120), TRUNCATION_M)
-    draws = [torch.tensor([unit])] if term.step_draws else []
+    noisy = [torch.zeros(1, 1, dtype=torch.int64), torch.tensor([unit])]
     term.compute(
         torch.full((1, 1), step),
         torch.tensor([[0.01, 0.01, height]]),
@@ -46,7 +46,7 @@ def looked(term, field, *, euler=(0.0, 0.0, 0.0), height=1.0, step=0.0, unit=(0.
         *field,
         evidence,
         esdf,
-        *draws,
+        *(noisy if term.step_draws else []),
     )
     return evidence[0]
 

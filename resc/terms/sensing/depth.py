@@ -4,14 +4,14 @@ import math
 from typing import Annotated, Unpack
 
 import torch
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Float, Int, Int8, Int64
 from torch import Tensor
 
 from resc.errors import ConfigError
 from resc.maps.constants import INFLATION_M
 from resc.maps.known_map import Beams, scan
 from resc.maps.ray_casting import fan
-from resc.maps.sensing import MapSensing, SensingOptions
+from resc.maps.sensing import NoisySensing, SensingOptions
 from resc.math import stream
 from resc.math.rotation import heading, matrix_from_quaternion
 from resc.math.sampling import gaussian
@@ -21,7 +21,7 @@ BeamCount = Annotated[int, Within(1, 2000)]
 FieldOfView = Annotated[float, Within(0, 3.1, above=True)]
 
 
-class Depth(MapSensing):
+class Depth(NoisySensing):
     """A depth camera along the body's x axis, of whose image the level directions are mapped.
 
     Obstacles reach from the floor to the ceiling, so what an image says of the plan lies in the
@@ -42,7 +42,6 @@ class Depth(MapSensing):
         **options: Of every sensing.
     """
 
-    step_draws = 2
     turn: Tensor
     number: Tensor
 
@@ -82,11 +81,12 @@ class Depth(MapSensing):
         size: Float[Tensor, "p 2"],
         evidence: Int8[Tensor, "n h w"],
         esdf: Float[Tensor, "n h w"],
+        place: Int64[Tensor, "n 1"],
         unit: Float[Tensor, "n 2"],
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         direction = fan(heading(attitude).unsqueeze(1), self.turn)[:, 0]
         length = self._length(attitude, direction)
-        place = stream.first(unit)
+        place = self.moved_on(clock, place, unit)
         ahead = self.range_m / length.clamp(min=1e-6)  # cosine of the angle to the optical axis
         growth = self.noise_1pm * ahead * gaussian(stream.uniform(self._places(place, 0)))
         lost = stream.uniform(self._places(place, 1)) < self.lost_share
@@ -94,7 +94,8 @@ class Depth(MapSensing):
         beams = Beams(position[:, :2], direction, length, torch.zeros_like(length), growth)
         field = (index, truth, origin, size)
         due = self.due(clock)
-        return scan(field, beams, due, evidence, esdf, self.evidence, self.resolution_m)
+        scan(field, beams, due, evidence, esdf, self.evidence, self.resolution_m)
+        return evidence, esdf, place
 
     def _length(
         self, attitude: Float[Tensor, "n 4"], direction: Float[Tensor, "n b 2"]

@@ -4,13 +4,13 @@ import math
 from typing import Annotated, Unpack
 
 import torch
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Float, Int, Int8, Int64
 from torch import Tensor
 
 from resc.errors import ConfigError
 from resc.maps.constants import INFLATION_M
 from resc.maps.known_map import Beams, scan
-from resc.maps.sensing import MapSensing, SensingOptions
+from resc.maps.sensing import NoisySensing, SensingOptions
 from resc.math import stream
 from resc.math.rotation import matrix_from_quaternion
 from resc.math.sampling import gaussian
@@ -19,7 +19,7 @@ from resc.quantities import NotNegative, Positive, Share, Within
 BeamCount = Annotated[int, Within(1, 4000)]
 
 
-class Lidar2d(MapSensing):
+class Lidar2d(NoisySensing):
     """Beams all round in the body's x-y plane.
 
     A vehicle that tilts sends beams into the floor: they tell that the way there is free, and end.
@@ -33,7 +33,6 @@ class Lidar2d(MapSensing):
         **options: Of every sensing.
     """
 
-    step_draws = 2
     around: Tensor
     number: Tensor
 
@@ -70,13 +69,14 @@ class Lidar2d(MapSensing):
         size: Float[Tensor, "p 2"],
         evidence: Int8[Tensor, "n h w"],
         esdf: Float[Tensor, "n h w"],
+        place: Int64[Tensor, "n 1"],
         unit: Float[Tensor, "n 2"],
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         beam = self.around @ matrix_from_quaternion(attitude).transpose(1, 2)  # [n, b, 3]
         level = torch.linalg.vector_norm(beam[..., :2], dim=-1).clamp(min=1e-6)
         floor = position[:, 2:].clamp(min=0) / (-beam[..., 2]).clamp(min=1e-6)
         length = level * floor.clamp(max=self.range_m)
-        place = stream.first(unit)
+        place = self.moved_on(clock, place, unit)
         noise = gaussian(stream.uniform(self._places(place, 0))) * self.noise_m * level
         lost = stream.uniform(self._places(place, 1)) < self.lost_share
         direction = beam[..., :2] / level.unsqueeze(-1)
@@ -84,7 +84,8 @@ class Lidar2d(MapSensing):
         beams = Beams(position[:, :2], direction, length, noise, torch.zeros_like(noise))
         field = (index, truth, origin, size)
         due = self.due(clock)
-        return scan(field, beams, due, evidence, esdf, self.evidence, self.resolution_m)
+        scan(field, beams, due, evidence, esdf, self.evidence, self.resolution_m)
+        return evidence, esdf, place
 
     def _places(self, place: Tensor, which: int) -> Tensor:
         """Where the random number of each beam stands: sequences of their own."""
