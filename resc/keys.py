@@ -347,6 +347,9 @@ REPLAN_STATUS = _declare(
 REPLANS = _declare(
     ("replan", "count"), (1,), "-", "routes planned again in the episode", torch.int32
 )
+REPLAN_OVER = _declare(
+    ("replan", "over"), (1,), "-", "the episode is over, and nothing is planned", torch.bool
+)
 REPLAN_MOVED = _declare(
     ("replan", "moved"),
     (1,),

@@ -415,7 +415,8 @@ class Stages(nn.Module):
         """Renews the routes, from where the vehicles are estimated to be."""
         if term := self.terms.replanning:
             where = keys.ESTIMATED_POSITION_W if self.terms.estimator else keys.POSITION_W
-            seen = tensors | {keys.POSITION_W: tensors[where]}
+            going_on = torch.zeros_like(tensors[keys.FINISHED])
+            seen = {keys.DONE: going_on} | tensors | {keys.POSITION_W: tensors[where]}
             term.run(seen)
             tensors |= {key: seen[key] for key in term.outputs}
 
@@ -468,7 +469,7 @@ class Stages(nn.Module):
         at_reset = shared | kept | past | of_scene | {keys.CLOCK}
         known = at_reset | {keys.ACTION}
         for term in self.terms:
-            if isinstance(term, Reward):
+            if isinstance(term, Reward | Replanning):
                 known |= {keys.TERMINATED, keys.TRUNCATED, keys.DONE}
             _require(term, known, "which nothing before it writes")
             known |= set(term.outputs)

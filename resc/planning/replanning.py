@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, Int8
+from jaxtyping import Bool, Float, Int, Int8
 from torch import Tensor
 
 from resc import keys
@@ -43,6 +43,7 @@ class InFlight(Replanning):
     An end inside the clearance is moved to the nearest free cell within `link_m`, and flagged.
     Where no way to the goal is known, the control points become the place where that was found, and
     the search is tried again at each check: the vehicle hovers until a way opens or time is up.
+    Nothing is planned for an episode that is over but flown on, as in evaluations.
 
     Args:
         check_hz: Checks of the route per second.
@@ -80,6 +81,8 @@ class InFlight(Replanning):
         keys.HOVER_W,
         keys.REPLAN_STATUS,
         keys.REPLANS,
+        keys.DONE,
+        keys.REPLAN_OVER,
     )
     writes = (
         keys.ROUTE_W,
@@ -93,6 +96,7 @@ class InFlight(Replanning):
         keys.REPLAN_STATUS,
         keys.REPLANS,
         keys.REPLAN_MOVED,
+        keys.REPLAN_OVER,
     )
     keeps = (*writes, keys.REPLAN_GOAL_W, keys.REPLAN_CLEARANCE)
 
@@ -168,6 +172,7 @@ class InFlight(Replanning):
             keys.REPLAN_STATUS: none.to(torch.int32),
             keys.REPLANS: none.to(torch.int32),
             keys.REPLAN_MOVED: none > 0,
+            keys.REPLAN_OVER: none > 0,
         }
 
     def _clearance(self, tensors: Mapping[NestedKey, Tensor]) -> Float[Tensor, "n 1"]:
@@ -198,9 +203,11 @@ class InFlight(Replanning):
         hover: Float[Tensor, "n 3"],
         status: Int[Tensor, "n 1"],
         replans: Int[Tensor, "n 1"],
+        done: Bool[Tensor, "n 1"],
+        over: Bool[Tensor, "n 1"],
     ) -> tuple[Tensor, ...]:
-        first = clock == 0
-        due = ((clock % self.every == 0) & (steps < 0)) | first
+        first, over = clock == 0, over | done
+        due = ((clock % self.every == 0) & (steps < 0) & ~over) | first
         lost = status >= CLOSED_OFF
         found, fresh, count, moved = torch.ops.resc.replan(
             due,
@@ -239,7 +246,7 @@ class InFlight(Replanning):
         moved = moved & renewed
         return (
             *(route, length, ahead, points, pending, pending_length, steps),
-            *(hover, status, replans, moved),
+            *(hover, status, replans, moved, over),
         )
 
 

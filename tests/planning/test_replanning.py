@@ -47,6 +47,7 @@ class Flight:
             keys.CONTROL_POINTS_W: route[:, :2],
             keys.ROUTE_CLEARANCE: torch.tensor([[torch.inf]]),
         }
+        self.tensors |= {keys.DONE: torch.zeros(1, 1, dtype=torch.bool)}
         self.tensors |= self.term.begin(self.tensors)
 
     def check(self, clock, field, unseen=(0, 0, 0, 0)):
@@ -151,6 +152,16 @@ def test_an_end_inside_the_clearance_is_moved_and_flagged():
     assert field[0, int((end[1] + 6) * 10), int((end[0] + 6) * 10)] > 0.4
     walled = known((4.0, 6.0, -1.5, 1.5))
     assert Flight().check(0, walled) == CLOSED_OFF
+
+
+def test_nothing_is_planned_once_an_episode_is_over():
+    flight = Flight(check_hz=50.0)
+    flight.check(0, known())
+    flight.tensors[keys.DONE] = torch.ones(1, 1, dtype=torch.bool)
+    flight.check(1, known(WALL))
+    flight.tensors[keys.DONE] = torch.zeros(1, 1, dtype=torch.bool)
+    flight.check(2, known(WALL))
+    assert int(flight.tensors[keys.REPLANS]) == 0
 
 
 def test_near_the_vehicle_a_route_leads_through_cells_that_were_seen():
