@@ -71,8 +71,10 @@ def scan(
 ) -> tuple[Int8[Tensor, "n h w"], Float[Tensor, "n h w"]]:
     """The map after a scan by the vehicles that are `due`; `evidence` and `esdf` change in place.
 
-    Beams are followed in steps of half a cell to the first occupied one. Cells before the measured
-    end count as passed, at most once per scan, and not where another beam ends.
+    Beams are followed in steps of half a cell to the first occupied one. What is hit is the cell
+    half a cell behind the measured end: of a surface on the border of two cells, errors would else
+    make the free one occupied, and passages narrower. Cells before the measured end count as
+    passed, at most once per scan, and not where another beam ends.
 
     Args:
         field: The true map of each row: entry [n, 1], distance fields [p, h, w], their lower-left
@@ -203,7 +205,7 @@ def scan_in_torch(
     meets = occupied.any(-1)
     first = occupied.to(torch.int32).argmax(-1) * step_m
     measured = (first + beams.offset + beams.growth * first.square()).clamp(min=0)
-    ends = start[:, None] + beams.direction * measured.unsqueeze(-1)
+    ends = start[:, None] + beams.direction * (measured + step_m).unsqueeze(-1)
     end_cell = (ends * (1.0 / resolution_m)).floor().to(torch.int64)
     hits = meets & ((ends >= 0) & (ends < size[index[:, 0]][:, None])).all(-1)
     end_place = end_cell[..., 1].clamp(0, height - 1) * width + end_cell[..., 0].clamp(0, width - 1)

@@ -66,7 +66,7 @@ def scan(
                     at = F(k) * half
                     measured = max(at + offset[n, b] + growth[n, b] * (at * at), F(0))
                     reach[b] = measured - F(resolution)
-                    x, y = x0 + ux * measured, y0 + uy * measured
+                    x, y = x0 + ux * (measured + half), y0 + uy * (measured + half)
                     if x >= F(0) and y >= F(0) and x < wide and y < high:
                         column, row = _cell(x, y, per_m, width, height)
                         cell = row * width + column
