@@ -147,6 +147,10 @@ def run(term, flight, rows=None):
     inputs = {key: value if key in shared else value[chosen] for key, value in flight.items()}
     if isinstance(term, kinds.Estimator) or set(term.reads).difference(inputs):
         inputs = {**term.begin(inputs), **inputs}
+    if isinstance(term, kinds.Replanning):  # all is known
+        known = flight[("map", "esdf")][inputs[("scene", "index")][:, 0]]
+        inputs |= {("known", "esdf"): known, ("known", "evidence"): (known > 0).to(torch.int8)}
+        inputs |= term.begin(inputs)
     inputs |= {
         key: torch.full((len(chosen), 1), term.start)
         for key in term.outputs

@@ -17,6 +17,7 @@ from resc.envs.stages import StepOutput, World
 from resc.errors import ConfigError, NumericalError
 from resc.flying.diagnosis import require_finite
 from resc.flying.episodes import RENEWED, EpisodeStatistics
+from resc.flying.insight_log import RouteLog
 from resc.flying.loop import flown
 from resc.policies.networks import IS_INIT, STATE
 from resc.policies.policy import OBSERVATION, OBSERVATION_CRITIC, Policy
@@ -57,6 +58,7 @@ class Collector:
         self.batches = 0
         self.keeps_starts = False
         self._starts: list[tuple[int, Tensor, World]] = []
+        self._routes = RouteLog(env) if keys.REPLANS in env.stages.persistent else None
         self._began = torch.ones(env.num_envs, 1, dtype=torch.bool, device=env.device)
         self._memory = policy.first_state(env.num_envs)
         self._batch: TensorDict | None = None
@@ -99,6 +101,10 @@ class Collector:
         """Episodes begun since the last call: first step in the run, rows [k], their world."""
         taken, self._starts = self._starts, []
         return taken
+
+    def take_routes(self) -> dict[str, Tensor]:
+        """Routes that arrived since the last call, of episodes whose starts are kept, as arrays."""
+        return self._routes.take() if self._routes else {}
 
     @torch.no_grad()
     def collect(self) -> TensorDict:
@@ -172,6 +178,8 @@ class Collector:
         row["reward_terms"].copy_(out.reward_terms)
         scene = env.value_of(keys.SCENE_INDEX)
         self.statistics.step(t, out, scene, env.flown_difficulties)
+        if self._routes and self.keeps_starts:
+            self._routes.step(self.start_step + t, before, ~out.done)
         self._restart(t + 1, out.done[:, 0].nonzero()[:, 0])
 
     def _go_on(self, chosen: TensorDict) -> None:
@@ -207,6 +215,8 @@ class Collector:
     def _note_starts(self, step: int, rows: Tensor) -> None:
         if self.keeps_starts:
             self._starts.append((step, rows, self.env.world_of(rows)))
+            if self._routes:
+                self._routes.begin(step, rows)
 
     def _allocate(self, seen: TensorDict, chosen: TensorDict) -> TensorDict:
         """The batch's memory [steps, n]: for what is seen and chosen, and for what comes of it."""

@@ -11,8 +11,10 @@ from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import StepOutput, World
 from resc.flying.episodes import EpisodeStatistics
+from resc.flying.insight_log import KnownMapLog, RouteLog
 from resc.recording.columns import REWARD_TERMS, before_step
 from resc.recording.rollouts import record_world, start_arrays, with_flown, with_success
+from resc.recording.schema import KNOWN_MAPS, ROUTES
 from resc.recording.writer import RolloutRecorder
 
 BATCH_STEPS = 100
@@ -39,6 +41,13 @@ class FlightLog:
         record_world(recorder, env.pool, 0)
         every = torch.arange(env.num_envs)
         self.starts = [(0, every, env.world_of(every))]
+        kept = env.stages.persistent
+        self.routes = RouteLog(env) if keys.REPLANS in kept else None
+        rate_hz = recorder.known_maps_hz if keys.KNOWN_EVIDENCE in kept else 0.0
+        self.maps = KnownMapLog(env, rate_hz) if rate_hz else None
+        for log in (self.routes, self.maps):
+            if log is not None:
+                log.begin(0, every)
 
     def step(
         self,
@@ -61,6 +70,11 @@ class FlightLog:
         for key in (keys.REWARD, keys.TERMINATED, keys.TRUNCATED):
             step[key] = getattr(out, key[0])
         self.statistics.step(len(self.steps), out, self.scene, {})
+        number = self.first_step + len(self.steps)
+        if self.routes is not None:
+            self.routes.step(number, before, flying & ~out.done)
+        if self.maps is not None:
+            self.maps.step(number, flying, out.done)
         self.steps.append(step)
         if len(self.steps) == BATCH_STEPS:
             self.flush()
@@ -71,7 +85,14 @@ class FlightLog:
             return
         steps = with_flown(cast(TensorDict, TensorDict.stack(self.steps)))
         episodes = self.statistics.episodes()
-        self.recorder.put(steps, self.first_step, with_success(episodes), start_arrays(self.starts))
+        logs = {ROUTES: self.routes, KNOWN_MAPS: self.maps}
+        self.recorder.put(
+            steps,
+            self.first_step,
+            with_success(episodes),
+            start_arrays(self.starts),
+            {topic: log.take() for topic, log in logs.items() if log is not None},
+        )
         self.first_step += len(self.steps)
         self.statistics.begin_batch(self.first_step)
         self.steps, self.starts = [], []

@@ -26,6 +26,7 @@ from resc.recording.rollouts import (
     with_flown,
     with_success,
 )
+from resc.recording.schema import ROUTES
 from resc.recording.writer import RolloutRecorder
 from resc.run_folder import CHECKPOINT, PROGRESS, finish_run
 
@@ -194,6 +195,7 @@ def record_batch(trainer: Trainer, recorder: RolloutRecorder | None) -> None:
         start,
         with_success(trainer.statistics.episodes()),
         start_arrays(trainer.collector.take_starts()),
+        {ROUTES: trainer.collector.take_routes()},
     )
     if count := trainer.collector.renew_scenes:
         pool = trainer.env.pool

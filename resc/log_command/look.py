@@ -76,6 +76,7 @@ def run_info(given: argparse.Namespace) -> int:
         "steps": f"{steps:,} of {log.num_envs:,} environments in {log.num_batches:,} batches, "
         f"{hours:,.1f} h of flight at {log.dt_s:g} s",
         "episodes": f"{len(log):,} finished" + _shares(log.episodes),
+        **_replans(log),
         **({"left out": "; ".join(again)} if again else {}),
         **{name: value for name, value in log.metadata.items()},
         "attachments": ", ".join(f"{n} ({len(d):,} B)" for n, d in log.attachments.items()),
@@ -96,6 +97,8 @@ def run_episodes(given: argparse.Namespace) -> int:
     """Prints the table of episodes, or writes it as CSV."""
     log = RolloutLog(given.recording)
     table = selected(log, given.where).episodes
+    if (renewals := log.renewals(table["index"].to_list())) is not None:
+        table = table.with_columns(replans=pl.Series(renewals, dtype=pl.UInt32))
     if given.sort is not None and given.sort not in table.columns:
         raise RecordingError(
             f"Episodes have no '{given.sort}'.{nearest(given.sort, table.columns)}"
@@ -142,6 +145,14 @@ def _shares(episodes: pl.DataFrame) -> str:
         return ""
     counts = episodes["outcome"].value_counts(sort=True).rows()
     return ": " + ", ".join(f"{count / len(episodes):.1%} {name}" for name, count in counts)
+
+
+def _replans(log: RolloutLog) -> dict[str, str]:
+    """How often routes were renewed in flight, where they are."""
+    counts = log.renewals(range(len(log)))
+    if not counts:
+        return {}
+    return {"replans": f"{sum(counts) / len(counts):.1f} an episode, at most {max(counts)}"}
 
 
 def _print_table(table: pl.DataFrame) -> None:

@@ -77,23 +77,23 @@ class HostBatch:
     time_ns: int
     rollout: Leaves
     episodes: Leaves
-    starts: Leaves
+    tables: dict[str, Leaves]
     wait: Callable[[], None]
 
 
 def host_batch(
-    number: int, start_step: int, rollout: Leaves, episodes: Leaves, starts: Leaves
+    number: int, start_step: int, rollout: Leaves, episodes: Leaves, tables: Mapping[str, Leaves]
 ) -> HostBatch:
-    """Copies of the leaves of a batch, of its episodes and its starts; any may be empty."""
+    """Copies of the leaves of a batch, of its episodes and of arrays by topic; any may be empty."""
     (rollout, wait_rollout), (episodes, wait_episodes) = to_host(rollout), to_host(episodes)
-    starts, wait_starts = to_host(starts)
+    found = {topic: to_host(leaves) for topic, leaves in tables.items() if leaves}
 
     def wait() -> None:
-        wait_rollout()
-        wait_episodes()
-        wait_starts()
+        for waits in (wait_rollout, wait_episodes, *(waits for _, waits in found.values())):
+            waits()
 
-    return HostBatch(number, start_step, time.time_ns(), rollout, episodes, starts, wait)
+    arrays = {topic: leaves for topic, (leaves, _) in found.items()}
+    return HostBatch(number, start_step, time.time_ns(), rollout, episodes, arrays, wait)
 
 
 def to_host(leaves: Mapping[tuple[str, ...], Tensor]) -> tuple[Leaves, Callable[[], None]]:

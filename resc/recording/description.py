@@ -11,7 +11,9 @@ from resc.recording.schema import (
     ARRAY_FIELDS,
     EPISODES,
     FIELDS,
+    KNOWN_MAPS,
     ROLLOUT,
+    ROUTES,
     SAMPLED_ACTION,
     SCHEMA_NAMES,
     STARTS,
@@ -28,6 +30,8 @@ TOPICS = {
     EPISODES: "one message for each finished episode; log time: its last step + `env_id` ns",
     WORLD: "one message for each set of scenes; log time: the step from which it is in use",
     STARTS: "one message for each batch in which episodes begin; log time: its first step",
+    ROUTES: "one message for each batch in which routes arrive, of flights with replanning",
+    KNOWN_MAPS: "one message for each batch with such maps, of evaluated flights with sensing",
 }
 """When a message is written, and its time."""
 _STEP = "control step of the run"
@@ -50,7 +54,10 @@ MEANINGS: dict[str, dict[str, tuple[str, str]]] = {
         "outcome": ("-", "why it ended, such as `success`, `collision`, `time_limit`"),
     },
     WORLD: {"start_step": ("steps", f"{_STEP} from which the scenes are in use")},
-    STARTS: {"start_step": ("steps", f"{_STEP} that the batch begins with")},
+    **{
+        topic: {"start_step": ("steps", f"{_STEP} that the batch begins with")}
+        for topic in (STARTS, ROUTES, KNOWN_MAPS)
+    },
 }
 """Unit and meaning of the fields that every file has."""
 _AXES = "roll, pitch, yaw rate, collective thrust"
@@ -68,6 +75,27 @@ _ARRAYS = {
         "env_id": ("-", "environment of each episode that begins"),
         "step": ("steps", "first step of each, in control steps of the run"),
     },
+    ROUTES: {
+        "env_id": ("-", "environment of each route"),
+        "step": ("steps", f"first {_STEP} that it is flown in"),
+        "planned_step": ("steps", f"{_STEP} before which it was planned"),
+        "cause": ("-", "0 first, 1 the one before was blocked, 2 closed off, 3 search gave up"),
+        "length": ("-", "number of control points"),
+    },
+    KNOWN_MAPS: {
+        "env_id": ("-", "environment of each map"),
+        "step": ("steps", f"{_STEP} before which it was known"),
+        "rows": ("-", "cells along y"),
+        "columns": ("-", "cells along x"),
+    },
+}
+_LAST = {
+    ROUTES: ("array `route_w`", "floats", "m", "world", "control points, padded with the last"),
+    KNOWN_MAPS: (
+        *("array `cells`", "uints", "-", ""),
+        "row by row, 16 cells in each number, the first in its lowest two bits: 0 never seen, "
+        "1 free, 2 occupied",
+    ),
 }
 WORLD_KEYS = (
     keys.MAP_ORIGIN_W,
@@ -134,11 +162,13 @@ def _rows_after(topic: str, columns: Sequence[Column]) -> Iterable[Row]:
     if topic in _ARRAYS:
         for name, (unit, meaning) in _ARRAYS[topic].items():
             yield f"array `{name}`", ARRAY_FIELDS["int64"], unit, "", meaning
-        for key in WORLD_KEYS if topic == WORLD else START_KEYS:
+        for key in {WORLD: WORLD_KEYS, STARTS: START_KEYS}.get(topic, ()):
             name = key[-1] if topic == WORLD else ".".join(key)
             declared = keys.DECLARED[key]
             kind = ARRAY_FIELDS[type_name(declared.dtype)]
             yield f"array `{name}`", kind, declared.unit, _frame(key), declared.meaning
+    if topic in _LAST:
+        yield _LAST[topic]
 
 
 def _column_row(column: Column) -> Row:

@@ -6,7 +6,7 @@ import numpy as np
 
 from resc.recording import events, wire
 from resc.recording.batches import HostBatch, Leaves
-from resc.recording.schema import EPISODES, ROLLOUT, STARTS, WORLD
+from resc.recording.schema import EPISODES, ROLLOUT, WORLD
 from resc.recording.segments import Segments
 from resc.recording.specification import Specification
 
@@ -38,12 +38,12 @@ class MessageWriter:
                 self._specification.dt_ns,
             )
             self._segments.append(EPISODES, messages, batch.time_ns)
-        if batch.starts:
-            arrays = {name: leaf.numpy() for (name,), leaf in batch.starts.items()}
-            data = events.encode_arrays(STARTS, arrays, batch.start_step)
+        for topic, leaves in batch.tables.items():
+            arrays = {name: leaf.numpy() for (name,), leaf in leaves.items()}
+            data = events.encode_arrays(topic, arrays, batch.start_step)
             origin = batch.start_step * self._specification.dt_ns
-            self._segments.append(STARTS, [(origin, 0, data)], batch.time_ns)
-        if batch.rollout or batch.episodes or batch.starts:
+            self._segments.append(topic, [(origin, 0, data)], batch.time_ns)
+        if batch.rollout or batch.episodes or batch.tables:
             self._segments.commit()
         self.written += bool(batch.rollout)
 

@@ -13,9 +13,10 @@ from jaxtyping import Int, Shaped
 from resc.errors import RecordingError
 from resc.recording.decode import Batch, read_environments
 from resc.recording.history import Superseded, superseded
+from resc.recording.insight import KnownMap, Route, known_maps_of, renewals_of, routes_of
 from resc.recording.listing import Listing, require_index
 from resc.recording.opening import opened
-from resc.recording.schema import Column
+from resc.recording.schema import ROUTES, Column
 from resc.recording.selection import Recorded, Selection
 from resc.recording.tables import ROWS, as_pandas, step_table
 
@@ -203,6 +204,25 @@ class RolloutLog(Recorded):
         The arrays of `world`, without the axis of the pool.
         """
         return {name: values[0] for name, values in self.scenes([index]).items()}
+
+    def routes(self, index: int) -> list[Route]:
+        """The routes of entry `index` of `episodes` as they arrived, the first one first.
+
+        Empty where routes are not renewed in flight.
+        """
+        sources, rows = next(self.listing.by_run([index]))
+        return routes_of(sources, rows.row(0, named=True))
+
+    def known_maps(self, index: int) -> list[KnownMap]:
+        """What was known of the map in entry `index` of `episodes`; empty if none is recorded."""
+        sources, rows = next(self.listing.by_run([index]))
+        return known_maps_of(sources, rows.row(0, named=True))
+
+    def renewals(self, numbers: Sequence[int]) -> list[int] | None:
+        """How many routes arrived in flight, of some episodes; None where none are renewed."""
+        if not any(ROUTES in source.topics for source in self._sources):
+            return None
+        return renewals_of(self.listing.by_run(numbers))
 
     def starts(self, numbers: Sequence[int]) -> "tensordict.TensorDict":
         """As `start`, of several episodes `[E]`."""

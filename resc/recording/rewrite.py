@@ -17,7 +17,7 @@ from resc.recording.events import before, decode_arrays, encode_arrays
 from resc.recording.history import joined
 from resc.recording.indexing import open_source
 from resc.recording.records import ChunkRef
-from resc.recording.schema import ROLLOUT, STARTS
+from resc.recording.schema import EPISODES, ROLLOUT, WORLD
 from resc.recording.segment import ACTIVE, FileHead, Message, Segment
 from resc.recording.source import Source, open_recording
 from resc.run_folder import replacing
@@ -57,10 +57,10 @@ class _Piece:
         return found[0][2], [(time, number, self._kept(data)) for time, number, _, data in found]
 
     def _kept(self, data: bytes) -> bytes:
-        if self.topic != STARTS or self.source.limit is None:
+        if self.topic in (EPISODES, WORLD) or self.source.limit is None:
             return data
-        step, arrays = decode_arrays(STARTS, data)
-        return encode_arrays(STARTS, before(self.source.limit, arrays), step)
+        step, arrays = decode_arrays(self.topic, data)
+        return encode_arrays(self.topic, before(self.source.limit, arrays), step)
 
 
 def _encoded(batch: Batch, messages: Sequence[Message]) -> list[Message]:

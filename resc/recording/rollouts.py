@@ -14,7 +14,7 @@ from resc import keys
 from resc.build import build
 from resc.envs.stages import Stages, World
 from resc.recording.columns import usual_columns
-from resc.recording.schema import SAMPLED_ACTION, Column
+from resc.recording.schema import KNOWN_MAPS, ROUTES, SAMPLED_ACTION, Column
 from resc.recording.writer import RolloutRecorder
 from resc.run_folder import provenance
 from resc.scenes.pool import ScenePool
@@ -24,6 +24,12 @@ def rollout_columns(stages: Stages) -> tuple[Column, ...]:
     """State before each step, true, read and estimated; its action, its reward and its end."""
     rewards = tuple(term.name for term in stages.terms.rewards)
     return usual_columns(rewards, stages.persistent)
+
+
+def topics_of(stages: Stages) -> tuple[str, ...]:
+    """Topics of what there is beside the usual: renewed routes, known maps."""
+    kept = {ROUTES: keys.REPLANS, KNOWN_MAPS: keys.KNOWN_EVIDENCE}
+    return tuple(topic for topic, key in kept.items() if key in stages.persistent)
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,7 @@ class RecordedRun:
             metadata={**(facts or {}), **provenance(), **own},
             attachments={"config.yaml": self.config_yaml.encode()},
             outcomes=outcomes or stages.outcomes,
+            topics=topics_of(stages),
         )
 
 

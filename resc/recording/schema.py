@@ -20,11 +20,16 @@ if TYPE_CHECKING:
     import torch
 
 ROLLOUT, EPISODES, WORLD, STARTS = "/rollout", "/episodes", "/world", "/starts"
+ROUTES, KNOWN_MAPS = "/routes", "/known_maps"
+USUAL = (ROLLOUT, EPISODES, WORLD, STARTS)
+"""Topics of every file; the others are only where there is something of them."""
 SCHEMA_NAMES = {
     ROLLOUT: "resc.RolloutFragment",
     EPISODES: "resc.Episode",
     WORLD: "resc.World",
     STARTS: "resc.Starts",
+    ROUTES: "resc.Routes",
+    KNOWN_MAPS: "resc.KnownMaps",
 }
 
 _Field = FieldDescriptorProto
@@ -56,14 +61,14 @@ FIELDS: dict[str, dict[str, int]] = {
         "outcome": _Field.TYPE_STRING,
     },
     WORLD: {"start_step": _Field.TYPE_FIXED64},
-    STARTS: {"start_step": _Field.TYPE_FIXED64},
+    **{topic: {"start_step": _Field.TYPE_FIXED64} for topic in (STARTS, ROUTES, KNOWN_MAPS)},
 }
 """Scalar fields of each message, numbered from 1; the others but episodes go on with arrays."""
 EPISODE_KEYS = tuple(FIELDS[EPISODES])
 # Wide integers only here: browsers cannot plot them, but nothing plots scenes and starts.
 _ARRAY_TYPES = _TYPES | {"int64": ("<i8", _Field.TYPE_SFIXED64)}
 ARRAY_FIELDS = dict(zip(_ARRAY_TYPES, ("floats", "bools", "ints", "uints", "longs"), strict=True))
-"""Field of a named array of `resc.World` and `resc.Starts` for each type, numbered from 3."""
+"""Field of a named array of `resc.World` and its like for each type, numbered from 3."""
 
 # A lower-case first letter keeps a field apart from the message type nested under its name.
 _NAME = re.compile(r"[a-z][A-Za-z0-9_]*")
@@ -190,7 +195,7 @@ def schema_data(topic: str, columns: Sequence[Column]) -> bytes:
         _add_field(message, name, kind)
     if topic == ROLLOUT:
         _add_tree(message, column_tree(columns), columns, f".{SCHEMA_NAMES[ROLLOUT]}")
-    elif topic in (WORLD, STARTS):
+    elif topic != EPISODES:
         field = _add_field(message, "arrays", _Field.TYPE_MESSAGE, repeated=True)
         array = message.nested_type.add(name="Array")
         field.type_name = f".{SCHEMA_NAMES[topic]}.{array.name}"

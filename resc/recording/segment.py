@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from mcap.writer import CompressionType, Writer
 
-from resc.recording.schema import SCHEMA_NAMES, schema_data
+from resc.recording.schema import SCHEMA_NAMES, USUAL, schema_data
 from resc.recording.specification import Specification, sealed
 
 ACTIVE = ".active"
@@ -65,11 +65,12 @@ class _File:
 
 @dataclass(frozen=True)
 class FileHead:
-    """What every file of a recording begins with."""
+    """What every file of a recording begins with, and the topics of which it has something."""
 
     specification: Specification
     metadata: Mapping[str, str]
     attachments: Mapping[str, bytes]
+    topics: tuple[str, ...] = USUAL
 
 
 class Segment:
@@ -100,10 +101,18 @@ class Segment:
             writer.add_attachment(
                 create_time=0, log_time=0, name=name, media_type=media_type, data=data
             )
-        for topic, name in SCHEMA_NAMES.items():
-            schema = writer.register_schema(name, "protobuf", schema_data(topic, columns))
-            self._channels[topic] = writer.register_channel(topic, "protobuf", schema)
+        self._columns = columns
+        for topic in head.topics:
+            self._channel(topic)
         self.commit()
+
+    def _channel(self, topic: str) -> int:
+        """Number of the channel of a topic."""
+        if topic not in self._channels:
+            data = schema_data(topic, self._columns)
+            schema = self._writer.register_schema(SCHEMA_NAMES[topic], "protobuf", data)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
+        return self._channels[topic]
 
     @property
     def size(self) -> int:
@@ -112,7 +121,7 @@ class Segment:
 
     def append(self, topic: str, messages: Sequence[Message], publish_time: int) -> None:
         """Write messages as chunks of their own."""
-        channel = self._channels[topic]
+        channel = self._channel(topic)
         for log_time, sequence, data in messages:
             self._writer.add_message(channel, log_time, cast(bytes, data), publish_time, sequence)
         self._writer.flush()

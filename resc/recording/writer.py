@@ -17,6 +17,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from resc.errors import RecordingError
+from resc.quantities import NotNegative
 from resc.recording.batches import (
     array_leaves,
     column_leaves,
@@ -27,7 +28,7 @@ from resc.recording.batches import (
 )
 from resc.recording.indexing import sessions_in
 from resc.recording.messages import MessageWriter
-from resc.recording.schema import Column
+from resc.recording.schema import STARTS, USUAL, Column
 from resc.recording.segment import FileHead
 from resc.recording.segments import Segments
 from resc.recording.specification import Specification, chosen_columns, require
@@ -55,6 +56,8 @@ class RolloutRecorder:
         envs: Record only the first so many environments and their episodes; None records all.
         fields: Record only these columns: keys joined by dots, or their first parts, such as
             `state.position_w` or `state`; None records all.
+        known_maps_hz: How often the maps that vehicles know are recorded, of flights that sense
+            them; never in training.
         directory: Where the files go; created if missing. Files already there are kept: this
             recorder goes on with their run, and what it records takes the place of what they hold
             from its first step on.
@@ -64,6 +67,7 @@ class RolloutRecorder:
         metadata: Facts about the run, stored as `resc.run` in every file.
         attachments: Documents stored in every file, such as `config.yaml`.
         outcomes: Names of the integer codes in `outcome` of the episodes.
+        topics: Topics that `further` of a batch may name.
     """
 
     def __init__(
@@ -77,6 +81,7 @@ class RolloutRecorder:
         every_n_batches: int = 1,
         envs: int | None = None,
         fields: Sequence[str] | None = None,
+        known_maps_hz: NotNegative = 2.0,
         directory: Path,
         columns: Sequence[Column],
         dt_s: float,
@@ -84,6 +89,7 @@ class RolloutRecorder:
         metadata: Mapping[str, str],
         attachments: Mapping[str, bytes],
         outcomes: Sequence[str] = (),
+        topics: Sequence[str] = (),
     ) -> None:
         expected = f"1 to num_envs ({num_envs}), or null"
         require(envs is None or 1 <= envs <= num_envs, "envs", envs, expected)
@@ -100,12 +106,13 @@ class RolloutRecorder:
         )
         texts = all(isinstance(value, str) for value in metadata.values())
         require(texts, "metadata", dict(metadata), "text values only")
+        self.known_maps_hz = known_maps_hz
         self._directory = Path(directory)
         self._batches = self._next_step = 0
         try:
             self._segments = Segments(
                 self._directory,
-                FileHead(self._specification, metadata, attachments),
+                FileHead(self._specification, metadata, attachments, (*USUAL, *topics)),
                 compression=compression,
                 rotate_mb=rotate_mb,
                 max_gb=max_gb,
@@ -133,17 +140,22 @@ class RolloutRecorder:
         start_step: int,
         episodes: TensorDictBase | None = None,
         starts: Mapping[str, Tensor] | None = None,
+        further: Mapping[str, Mapping[str, Tensor]] | None = None,
     ) -> None:
         """Record a batch `[T, N]` whose first row is step `start_step` of every environment.
 
         `episodes` `[E]` lists those that ended within the batch: `env_id`, `episode`, `start_step`,
         `end_step` (inclusive), `length`, `return_`, `difficulty`, `success`, `scene`, and
         `outcome` as an index into `outcomes`. `starts` lists the episodes that begin within it, or
-        right after it: `env_id` and `step` [S], and any arrays [S, ...] that say how.
+        right after it: `env_id` and `step` [S], and any arrays [S, ...] that say how. `further`
+        are such arrays by topic: renewed routes, known maps.
         """
         self._check_open()
         specification, num_envs = self._specification, self._num_envs
-        begun = rows_of_recorded(array_leaves(starts or {}, "Starts"), specification, num_envs)
+        tables = {
+            topic: rows_of_recorded(array_leaves(arrays, topic), specification, num_envs)
+            for topic, arrays in {STARTS: starts or {}, **(further or {})}.items()
+        }
         rollout = column_leaves(batch, specification, num_envs)
         ended = episode_leaves(episodes) if episodes is not None else {}
         ended = rows_of_recorded(ended, specification, num_envs)
@@ -156,7 +168,7 @@ class RolloutRecorder:
         number, self._batches = self._batches, self._batches + 1
         if number % specification.every_n_batches != 0:
             rollout = {}
-        copies = host_batch(number, start_step, rollout, ended, begun)
+        copies = host_batch(number, start_step, rollout, ended, tables)
         self._queue.put(partial(self._messages.write_batch, copies))
 
     def put_world(self, message: Mapping[str, Tensor], start_step: int) -> None:

@@ -1,0 +1,90 @@
+"""Routes and known maps in recordings of flights that see and replan."""
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from resc import keys
+from resc.flying.flights import fly_recorded
+from resc.flying.pursuit import Pursuit
+from resc.flying.replay import fly_again
+from resc.log_command import main
+from resc.recording.check import check
+from resc.recording.known_cells import FREE, OCCUPIED, UNSEEN, packed, unpacked
+from resc.recording.reader import RolloutLog
+from resc.recording.rewrite import recover
+from resc.recording.rollouts import RecordedRun
+from resc.setup import set_up
+
+FLIGHTS = 3
+SEEN = ("scene=planned", "sensing=depth", "replanning=in_flight")
+LIMIT = ("termination.time_limit.limit_s=4.0", "obstacle_observation=none")
+
+
+@pytest.fixture(scope="module")
+def recording(compose, tmp_path_factory):
+    """The file of three flights with a depth camera."""
+    config = compose(*SEEN, *LIMIT, f"num_envs={FLIGHTS}")
+    env = set_up(config, size=FLIGHTS, seed=1).env(FLIGHTS, compiled=False, in_order=True)
+    stored = OmegaConf.to_yaml(config, resolve=True)
+    run = RecordedRun(config["recorder"], stored, seed=1, device="cpu")
+    folder = tmp_path_factory.mktemp("seen")
+    fly_recorded(env, Pursuit(), run, folder)
+    return folder / "rollouts_00000.mcap"
+
+
+def test_each_new_route_is_a_message_and_agrees_with_the_columns(recording):
+    log = RolloutLog(recording)
+    for number in range(len(log)):
+        steps, routes = log.episode(number), log.routes(number)
+        assert (routes[0].step, routes[0].planned, routes[0].cause) == (0, 0, "first")
+        count = steps[keys.REPLANS][:, 0].numpy()
+        for route in routes[1:]:
+            assert 0 < route.planned < route.step
+            assert count[route.planned] == count[route.planned - 1] + 1
+            assert steps[keys.REPLAN_STATUS][route.planned, 0] == 1
+            assert route.cause == "blocked"
+    assert sum(map(len, map(log.routes, range(len(log))))) > FLIGHTS
+
+
+def test_the_known_map_grows(recording):
+    log = RolloutLog(recording)
+    maps = log.known_maps(0)
+    assert [known.step for known in maps][:3] == [0, 25, 50]
+    assert maps[-1].step == len(log.episode(0))
+    seen = [int((known.cells != UNSEEN).sum()) for known in maps]
+    assert seen == sorted(seen)
+    assert seen[-1] > seen[0] > 0
+    assert {FREE, OCCUPIED} <= {*np.unique(maps[-1].cells).tolist()}
+
+
+def test_what_is_recorded_comes_out_again_and_a_recovered_file_holds_it(recording, tmp_path):
+    result = fly_again(f"{recording}#0")
+    assert result.largest == 0.0, result.report()
+    assert result.deviations.keys() >= {keys.REPLANS, keys.REPLAN_STATUS}
+    target = tmp_path / "rollouts_00000.mcap"
+    assert not recover(recording, target).lost
+    assert not check(target).faults
+    for number in range(FLIGHTS):
+        one, other = RolloutLog(recording), RolloutLog(target)
+        pairs = zip(one.routes(number), other.routes(number), strict=True)
+        assert all(np.array_equal(a.points, b.points) for a, b in pairs)
+        pairs = zip(one.known_maps(number), other.known_maps(number), strict=True)
+        assert all(np.array_equal(a.cells, b.cells) for a, b in pairs)
+
+
+def test_the_commands_tell_how_often_routes_were_renewed(recording, capsys):
+    renewals = RolloutLog(recording).renewals(range(FLIGHTS))
+    for command in ("info", "episodes"):
+        with pytest.raises(SystemExit):
+            main([command, str(recording)])
+    text = capsys.readouterr().out
+    assert f"at most {max(renewals)}" in text
+    assert "replans" in text.splitlines()[-FLIGHTS - 2]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (4, 4), (7, 9)])
+def test_packed_cells_come_out_again(shape):
+    cells = np.random.default_rng(0).integers(0, 3, (2, *shape)).astype(np.uint8)
+    words = packed(cells != UNSEEN, cells == OCCUPIED)
+    assert all(np.array_equal(unpacked(w, *shape), c) for w, c in zip(words, cells, strict=True))
