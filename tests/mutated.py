@@ -56,6 +56,9 @@ BOUNDS = {
     r"scene\.(start_m|goal_m|origin_m|boxes\[\d\])": ANY,
     r"scene\.(size_m|side_m|wall_m|spacing_m)": POSITIVE,
     r"scene\.(points|proposals)": COUNT,
+    r"scene\.(occupied_thresh|free_thresh)": SHARE,
+    r"scene\.occupied_at": (0, 100),
+    r"scene\.(cell_m|height_m)": (math.inf, -math.inf),  # of a point cloud, which no file has
     r"search\.(max_expansions|spacing_m|nominal_m)": POSITIVE,
     r"sensing\.(hit|miss|least|most|occupied)": ANY,
     r"sensing\.lost_share": SHARE,

@@ -8,6 +8,7 @@ from jaxtyping import Bool
 
 from resc.errors import ConfigError
 from resc.quantities import Number, Positive
+from resc.scenes.merging import rectangles
 
 OCCUPIED, FREE = "#", "."
 Box = tuple[float, float, float, float]
@@ -38,24 +39,11 @@ def occupancy_boxes(
 
 
 def merged(cells: Bool[np.ndarray, "h w"]) -> list[tuple[int, int, int, int]]:
-    """Rectangles `(row, column, rows, columns)` that cover every true cell once, and no other.
-
-    Greedy: from the first cell left as far along its row as it goes, then over as many rows. Not
-    always the fewest.
-    """
-    left = cells.copy()
-    found = []
-    for row, column in np.argwhere(cells):
-        if not left[row, column]:
-            continue
-        free = np.flatnonzero(~left[row, column:])
-        wide = int(free[0]) if len(free) else left.shape[1] - int(column)
-        whole = np.atleast_1d(left[row:, column : column + wide].all(1))
-        shut = np.flatnonzero(~whole)
-        deep = int(shut[0]) if len(shut) else len(whole)
-        left[row : row + deep, column : column + wide] = False
-        found.append((int(row), int(column), deep, wide))
-    return found
+    """Rectangles `(row, column, rows, columns)` that cover every true cell once, and no other."""
+    return [
+        (row, column, deep, wide)
+        for row, column, deep, wide in rectangles(np.array(cells, order="C")).tolist()
+    ]
 
 
 def _from_rows(rows: Sequence[str]) -> Bool[np.ndarray, "h w"]:
