@@ -43,10 +43,10 @@ class StraightOn(Pilot):
         return action
 
 
-def fly_street(config: DictConfig, folder: Path) -> RolloutLog:
-    """The recording of two flights along the street."""
+def fly_street(config: DictConfig, folder: Path, scenes: Layout | None = None) -> RolloutLog:
+    """The recording of two flights along the street, or through other scenes."""
     config = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
-    scenes = Street().sample(2, torch.Generator())
+    scenes = Street().sample(2, torch.Generator()) if scenes is None else scenes
     setup = among(scenes, build_stages(config), config["device"])
     env = setup.env(config["num_envs"], compiled=config["compile"], seed=3, in_order=True)
     recorder = TrainingRun(config).recorded.open(env.stages, directory=folder, num_envs=2)

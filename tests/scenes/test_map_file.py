@@ -5,7 +5,10 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
+from street import fly_street
 
 from resc.build import build
 from resc.errors import ConfigError
@@ -14,6 +17,9 @@ from resc.planning.route import RoutePlanner
 from resc.scenes.grid_map import GridMap
 from resc.scenes.map_file import MapFile
 from resc.scenes.turned import turned
+from resc.viewing.episode_scene import load_scene
+from resc.viewing.foxglove import write_scene
+from resc.viewing.plot import draw
 
 ROOM = np.array([[1, 0, 0, 1], [0, 0, 0, 0], [0, 0, 1, 1]], bool)
 """The greatest y first."""
@@ -183,6 +189,26 @@ def test_the_route_through_the_office_keeps_its_clearance(load_part):
         along = (points[:-1] + share * points.diff(dim=0)).reshape(-1, 2)
         away = box_distance(along, scene.boxes.expand(len(along), -1, -1)).amin()
         assert away > 0.4 - 0.1
+
+
+def test_a_flight_in_a_map_is_recorded_and_drawn_as_among_boxes(compose, load_part, tmp_path):
+    scene = build(load_part("scene", "occupancy"), "scene")
+    planner = RoutePlanner(clearance_m=0.4, resolution_m=0.1, **PLANNER)
+    layout = planner(scene.sample(2, torch.Generator().manual_seed(0)))
+    config = compose("num_envs=2", "recorder=mcap", "task=from_rest")
+    log = fly_street(config, tmp_path / "rollouts", layout)
+    torch.testing.assert_close(load_scene(log, 1).place.boxes, scene.boxes)
+    drawn = write_scene(log, 1, tmp_path / "scene.mcap")
+    with drawn.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        shown = [
+            message
+            for *_, message in reader.iter_decoded_messages(topics=["/world/obstacles"])
+            for _ in message.entities[0].cubes
+        ]
+    assert len(shown) == len(scene.boxes)
+    draw(log, 1, tmp_path / "episode.png")
+    assert (tmp_path / "episode.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
