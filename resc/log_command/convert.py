@@ -1,4 +1,4 @@
-"""Commands that write something else: scene, rerun, plot, parquet."""
+"""Commands that write something else: scene, rerun, plot, video, parquet."""
 
 import argparse
 from collections.abc import Callable
@@ -30,13 +30,19 @@ def add_commands(commands: Any) -> None:  # noqa: ANN401
         ("scene", run_scene, "mcap", "one episode in 3-D for Foxglove and Lichtblick"),
         ("rerun", run_rerun, "rrd", "one episode in 3-D for Rerun, with its blueprint"),
         ("plot", run_plot, "png", "picture of one episode: map, speed, attitude, rates, reward"),
+        (
+            "video",
+            run_video,
+            "gif",
+            "one episode from above as a GIF, and what was known",
+        ),
     ):
         example = f"resc-log {name} runs/latest_train --episode 17 --out crash.{suffix}"
         parser = add_command(commands, name, run, summary, example)
         add_recording(parser)
         add_episode(parser)
         add_output(parser, f"episode_K.{suffix} in this folder")
-        if name != "plot":
+        if name in ("scene", "rerun"):
             add_allow(parser)
     smooth = add_command(
         commands,
@@ -80,6 +86,13 @@ def run_plot(given: argparse.Namespace) -> int:
 
     require_picture(given.out)
     return _write_episode(given, "png", draw)
+
+
+def run_video(given: argparse.Namespace) -> int:
+    """Draws an episode, frame by frame."""
+    from resc.viewing.flight_video import write_video
+
+    return _write_episode(given, "gif", write_video)
 
 
 def run_smooth(given: argparse.Namespace) -> int:

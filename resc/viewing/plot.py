@@ -21,6 +21,7 @@ from resc.math.rotation import euler_from_quaternion
 from resc.recording.columns import FLOWN, REAL, REWARD_TERMS, require_columns
 from resc.recording.commands import rate_command
 from resc.recording.configuration import nodes_in, numbers_at
+from resc.recording.insight import Route
 from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
 from resc.viewing.colours import (
@@ -39,6 +40,7 @@ from resc.viewing.estimate_picture import (
     draw_tracks,
     is_estimated,
 )
+from resc.viewing.known_picture import draw_known, draw_routes, legend_entries
 
 _COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 """Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""
@@ -121,7 +123,12 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
         scene, inflation = log.scene(episode), inflation_m(log, episode)
         estimated = is_estimated(steps)
         above, below = (6, 8) if estimated else (7, 7)
-        _draw_map(figure, figure.add_subplot(grid[:above, 0]), scene, steps, inflation)
+        axes = figure.add_subplot(grid[:above, 0])
+        routes, maps = log.routes(episode), log.known_maps(episode)
+        _draw_map(figure, axes, scene, steps, inflation, routes, bool(maps))
+        if maps:
+            (cell_m,) = numbers_at(log.config, "env.resolution_m", 1)
+            draw_known(axes, maps[-1].cells, scene["origin_w"].tolist(), cell_m)
         _draw_rewards(figure.add_subplot(grid[below:, 0]), time, log, steps)
         if estimated:
             axes = figure.add_subplot(grid[above:below, 0])
@@ -141,6 +148,7 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
             f"episode {episode}: {facts['outcome']} after {len(steps) * log.dt_s:.2f} s, "
             f"return {facts['return_']:.2f} · environment {facts['env_id']}, "
             f"steps {facts['start_step']:,} to {facts['end_step']:,}, scene {facts['scene']}"
+            + (f", {len(routes) - 1} replans" if routes else "")
         )
         with replacing(path, RecordingError) as unfinished:
             figure.savefig(unfinished, dpi=130, format=path.suffix.removeprefix(".") or "png")
@@ -166,15 +174,24 @@ def _tensor(values: TensorDict, key: keys.NestedKey) -> Tensor:
 
 
 def _draw_map(
-    figure: Figure, axes: Axes, scene: Mapping[str, Tensor], steps: TensorDict, inflation: float
+    figure: Figure,
+    axes: Axes,
+    scene: Mapping[str, Tensor],
+    steps: TensorDict,
+    inflation: float,
+    routes: Sequence[Route],
+    known: bool,
 ) -> None:
     position = _tensor(steps, keys.POSITION_W)[:, :2].numpy()
     speed = _tensor(steps, keys.VELOCITY_W).norm(dim=-1).numpy()
-    around = _draw_obstacles(axes, scene, inflation)
+    around = draw_obstacles(axes, scene, inflation)
     route = scene["route_w"][: int(scene["route_length"]), :2].numpy()
     planned = np.concatenate((scene["start_w"][None, :2].numpy(), route))
-    axes.plot(*planned.T, color=PLAN, linewidth=1.0, linestyle=DASHES, zorder=2)
-    axes.scatter(*route[:-1].T, s=14, color=PLAN, linewidths=0, zorder=2)
+    if routes:
+        draw_routes(axes, routes, steps)
+    else:
+        axes.plot(*planned.T, color=PLAN, linewidth=1.0, linestyle=DASHES, zorder=2)
+        axes.scatter(*route[:-1].T, s=14, color=PLAN, linewidths=0, zorder=2)
     white = {"c": "white", "edgecolors": PLAN, "zorder": 5}
     axes.scatter(*planned[0], s=44, marker="o", **white)
     axes.scatter(*route[-1], s=130, marker="*", **white)
@@ -186,7 +203,8 @@ def _draw_map(
     lines.set(array=speed[1:], zorder=3, capstyle="round")
     axes.add_collection(lines)
     draw_tracks(axes, steps)
-    named = [*around, *axes.get_legend_handles_labels()[0]]
+    told = legend_entries(routes, known)
+    named = [*around, *axes.get_legend_handles_labels()[0], *told]
     if named:
         axes.legend(handles=named, loc="upper left", fontsize="small", framealpha=0.8)
     mark = {"edgecolors": "white", "linewidths": 0.8, "zorder": 6}
@@ -202,7 +220,7 @@ def _draw_map(
     _quiet(axes)
 
 
-def _draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -> list[Patch]:
+def draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -> list[Patch]:
     """Columns, and around them where a flight ends as a collision; returns what a legend needs."""
     boxes = [((x, y), dx, dy) for x, y, dx, dy in scene["boxes_w"].tolist() if dx > 0 and dy > 0]
     pillars = scene["pillars_w"].tolist() if "pillars_w" in scene else []  # not in older recordings

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
+from PIL import Image
 
 from resc import keys
 from resc.flying.flights import fly_recorded
@@ -81,6 +82,25 @@ def test_the_commands_tell_how_often_routes_were_renewed(recording, capsys):
     text = capsys.readouterr().out
     assert f"at most {max(renewals)}" in text
     assert "replans" in text.splitlines()[-FLIGHTS - 2]
+
+
+def test_plot_and_video_show_what_was_known(recording, tmp_path):
+    for command, name in (("plot", "flight.png"), ("video", "flight.gif")):
+        with pytest.raises(SystemExit) as end:
+            main([command, str(recording), "--episode", "0", "--out", str(tmp_path / name)])
+        assert end.value.code == 0
+    seconds = len(RolloutLog(recording).episode(0)) * 0.02
+    with Image.open(tmp_path / "flight.gif") as video:
+        assert abs(video.n_frames - seconds * 12.5) <= 2
+        first, last = [shades(video, frame) for frame in (0, video.n_frames - 1)]
+    assert last < first
+
+
+def shades(video, frame):
+    """How many pixels of a frame have the colour of what was never seen."""
+    video.seek(frame)
+    pixels = np.asarray(video.convert("RGB")).astype(int)
+    return int((np.abs(pixels - [188, 193, 202]).max(-1) < 12).sum())
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (4, 4), (7, 9)])

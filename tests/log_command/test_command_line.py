@@ -44,7 +44,7 @@ def commands():
 
 def test_all_commands_are_there():
     expected = "check episodes from-ulog identify info merge parquet plot recover rerun scene"
-    assert commands() == [*expected.split(), "schema", "smooth"]
+    assert commands() == [*expected.split(), "schema", "smooth", "video"]
 
 
 @pytest.mark.parametrize("command", commands())
@@ -315,12 +315,12 @@ def test_schema_of_a_recording_names_its_reward_terms(run, call):
 
 
 def test_the_picture_shows_where_a_flight_counts_as_a_collision(street, tmp_path):
-    from resc.viewing.plot import _draw_obstacles, inflation_m
+    from resc.viewing.plot import draw_obstacles, inflation_m
 
     assert inflation_m(street, 0) == 0.3
     axes = Figure().add_subplot()
     boxes = torch.tensor([[3.0, 0.5, 0.4, 1.0], [0.0, 0.0, 0.0, 0.0]])
-    (named,) = _draw_obstacles(axes, {"boxes_w": boxes}, 0.3)
+    (named,) = draw_obstacles(axes, {"boxes_w": boxes}, 0.3)
     (inflated,) = [p for p in axes.patches if p.get_boxstyle().pad == 0.3]
     shape = inflated.get_path().get_extents()
     assert (shape.x0, shape.y0, shape.x1, shape.y1) == pytest.approx((2.7, 0.2, 3.7, 1.8))
