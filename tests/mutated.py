@@ -58,7 +58,8 @@ BOUNDS = {
     r"scene\.(points|proposals)": COUNT,
     r"scene\.(occupied_thresh|free_thresh)": SHARE,
     r"scene\.occupied_at": (0, 100),
-    r"scene\.(cell_m|height_m)": (math.inf, -math.inf),  # of a point cloud, which no file has
+    r"scene\.((families\.map\.)?cell_m|families\.map\.height_m)": (math.inf, -math.inf),
+    # of a point cloud, which the map of conf/ is not
     r"search\.(max_expansions|spacing_m|nominal_m)": POSITIVE,
     r"sensing\.(hit|miss|least|most|occupied)": ANY,
     r"sensing\.lost_share": SHARE,
