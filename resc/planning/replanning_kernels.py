@@ -90,10 +90,10 @@ def renew(
         columns = min(width, int(size[entry, 0] / cell_m + 0.5))
         rows = min(height, int(size[entry, 1] / cell_m + 0.5))
         known = esdf[n, :rows, :columns]
-        unseen = evidence[n, :rows, :columns] == UNKNOWN
+        seen = evidence[n, :rows, :columns]
         way = route[n, min(ahead[n], length[n] - 1) : length[n]]
         reach = look_m, margin_m, seen_m
-        if not always[n] and _is_clear(known, unseen, corner, cell_m, position[n], way, reach):
+        if not always[n] and _is_clear(known, seen, corner, cell_m, position[n], way, reach):
             status[n] = ON_ROUTE
             continue
         squared = floor((clearance[n] / cell_m) ** 2 + 1e-9)
@@ -106,7 +106,7 @@ def renew(
             status[n] = CLOSED_OFF
             continue
         chart = room.copy()
-        _close_unseen(chart, unseen, position[n], frame, seen_m)
+        _close_unseen(chart, seen, position[n], frame, seen_m)
         query += 3
         if chart[start[3], start[2]] or chart[end[3], end[2]]:
             chart = room
@@ -150,7 +150,7 @@ def _found(blocked, start, end, frame, expansions, query, work):
 
 @njit(cache=True)
 @no_type_check
-def _is_clear(known, unseen, corner, cell_m, position, way, reach):
+def _is_clear(known, evidence, corner, cell_m, position, way, reach):
     """Whether the way through the next control points keeps the margin, once it keeps it at all.
 
     A vehicle inside the margin has left its route already: what counts is where it goes from there.
@@ -172,7 +172,7 @@ def _is_clear(known, unseen, corner, cell_m, position, way, reach):
             if not (0 <= column < width and 0 <= row < height):
                 continue
             away = hypot(px - position[0], py - position[1])
-            if unseen[row, column] and BESIDE_M < away < seen_m:
+            if evidence[row, column] == UNKNOWN and BESIDE_M < away < seen_m:
                 return False
             near = known[row, column] < margin_m
             if near and not inside:
@@ -185,7 +185,7 @@ def _is_clear(known, unseen, corner, cell_m, position, way, reach):
 
 @njit(cache=True)
 @no_type_check
-def _close_unseen(blocked, unseen, position, frame, seen_m):
+def _close_unseen(blocked, evidence, position, frame, seen_m):
     """Blocks the cells near the vehicle that it has not seen, but those that it is in."""
     x0_m, y0_m, cell_m = frame
     height, width = blocked.shape
@@ -194,7 +194,7 @@ def _close_unseen(blocked, unseen, position, frame, seen_m):
     for y in range(max(0, row - reach), min(height, row + reach + 1)):
         for x in range(max(0, column - reach), min(width, column + reach + 1)):
             away = hypot(x0_m + x * cell_m - position[0], y0_m + y * cell_m - position[1])
-            if unseen[y, x] and BESIDE_M < away < seen_m:
+            if evidence[y, x] == UNKNOWN and BESIDE_M < away < seen_m:
                 blocked[y, x] = True
 
 
