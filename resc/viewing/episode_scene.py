@@ -1,6 +1,6 @@
 """One recorded episode with its surroundings, ready to be drawn: from the recording alone."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -22,6 +22,7 @@ from resc.maps.constants import TRUNCATION_M
 from resc.maps.distance_transform import distance_transform
 from resc.recording.columns import FLOWN, REAL, REWARD_TERMS, require_columns
 from resc.recording.configuration import nodes_in, numbers_at, require_groups
+from resc.recording.insight import KnownMap, Route
 from resc.recording.reader import RolloutLog
 from resc.scenes.layout import PARKED_M, rasterize
 from resc.scenes.pool import layout_from
@@ -66,6 +67,7 @@ class EpisodeScene:
     Row t is the state before step t, the action taken in it and the reward it earned; the state
     after the last step is not recorded. `passed` counts the control points passed so far.
     `command` is what the action asks for, before any delay: body rate [rad/s], thrust [N].
+    `routes` are those that arrived in flight, and `known` the maps that were known, if recorded.
     """
 
     facts: dict[str, str]
@@ -79,6 +81,8 @@ class EpisodeScene:
     place: Place
     vehicle: Vehicle
     sights: dict[str, list[Shape]]
+    routes: Sequence[Route] = ()
+    known: Sequence[KnownMap] = ()
 
     def __len__(self) -> int:
         return len(self.passed)
@@ -102,6 +106,8 @@ class EpisodeScene:
         facts, count = self.facts, len(self.place.route)
         first = f"episode {facts['index']} begins: environment {facts['env_id']}, scene"
         told = [(0, f"{first} {facts['scene']}, {count} control points")]
+        for route in self.routes[1:]:
+            told.append((route.step, f"new route of {len(route.points)} points: {route.cause}"))
         counts = self.passed.tolist()
         told += [
             (step, f"control point {after} of {count} passed")
@@ -110,7 +116,7 @@ class EpisodeScene:
         ]
         seconds = len(self) * self.dt_s
         end = f"{facts['outcome']} after {seconds:.2f} s, return {float(facts['return']):.2f}"
-        return [*told, (len(self), end)]
+        return [*sorted(told, key=lambda event: event[0]), (len(self), end)]
 
 
 def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> EpisodeScene:
@@ -158,6 +164,8 @@ def load_scene(log: RolloutLog, episode: int, allowed: Iterable[str] = ()) -> Ep
         place=place,
         vehicle=vehicle,
         sights=_sights(steps, passed, place, observations, context),
+        routes=log.routes(episode),
+        known=log.known_maps(episode),
     )
 
 

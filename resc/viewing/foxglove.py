@@ -60,6 +60,7 @@ from resc.viewing.foxglove_messages import (
     sphere,
     stamp,
 )
+from resc.viewing.known_picture import shaded
 from resc.viewing.scalars import Numbers, encode_scalars, scalar_schema
 
 WORLD, DRONE = "world", "drone"
@@ -84,6 +85,10 @@ ESTIMATES = {
     "/drone/estimate": (keys.ESTIMATED_POSITION_W, PosesInFrame),
 }
 """Topics of recordings that hold such a column, and their message type."""
+KNOWN, ROUTE = "/map/known", "/plan/route"
+"""Topics of flights whose map was seen, and whose routes were renewed."""
+KNOWN_M = 0.02
+"""Height at which the known map is drawn: above the true one."""
 
 
 class _Encodes(Protocol):
@@ -164,7 +169,9 @@ def _channels(writer: Writer, scene: EpisodeScene, numbers: dict[str, Numbers]) 
 
 def _tracks(scene: EpisodeScene) -> dict[str, Any]:
     """Message type of each track beside the true one, of those that are recorded."""
-    return {topic: kind for topic, (key, kind) in ESTIMATES.items() if scene.path(key) is not None}
+    found = {topic: kind for topic, (key, kind) in ESTIMATES.items() if scene.path(key) is not None}
+    found |= {KNOWN: Grid} if scene.known else {}
+    return found | ({ROUTE: PosesInFrame} if scene.routes else {})
 
 
 def _observation_types(scene: EpisodeScene) -> dict[str, Any]:
@@ -184,7 +191,7 @@ def _messages(scene: EpisodeScene, numbers: dict[str, Numbers]) -> Iterator[Mess
     for topic, values in numbers.items():
         for time_ns, data in zip(times[:-1], encode_scalars(values), strict=True):
             yield Message(time_ns, topic, data)
-    for time_ns, topic, message in _moving(scene, times):
+    for time_ns, topic, message in (*_learnt(scene, times), *_moving(scene, times)):
         yield Message(time_ns, topic, message.encode())
     positions = scene.column(keys.POSITION_W).numpy()
     for name, seen in scene.sights.items():
@@ -247,6 +254,21 @@ def _estimated(scene: EpisodeScene) -> Iterator[tuple[str, _Encodes]]:
         poses = [pose(point) for point in guess.tolist()]
         path = PosesInFrame(timestamp=stamp(0), frame_id=WORLD, poses=poses)
         yield "/drone/estimate", path
+
+
+def _learnt(scene: EpisodeScene, times: list[int]) -> Iterator[tuple[int, str, _Encodes]]:
+    """Each known map and each route, when it was there."""
+    place, position = scene.place, scene.column(keys.POSITION_W).tolist()
+    corner = (*place.origin.tolist(), KNOWN_M)
+    for known in scene.known:
+        now, tint = times[known.step], (255 * shaded(known.cells)).astype(np.uint8)
+        numbers = known.cells.astype(np.float64)
+        drawn = {"corner": corner, "cell_m": place.resolution, "name": "known", "time_ns": now}
+        yield now, KNOWN, grid(numbers, tint, **drawn)
+    for route in scene.routes:
+        now = times[route.step]
+        poses = [pose(point) for point in (position[route.step], *route.points.tolist())]
+        yield now, ROUTE, PosesInFrame(timestamp=stamp(now), frame_id=WORLD, poses=poses)
 
 
 def _moving(scene: EpisodeScene, times: list[int]) -> Iterator[tuple[int, str, _Encodes]]:

@@ -57,7 +57,7 @@ def _fields(names: Sequence[str]) -> list[PackedElementField]:
     ]
 
 
-_POINT_FIELDS, _CELL_FIELDS = _fields(("x", "y", "z", "distance")), _fields(("distance",))
+_POINT_FIELDS = _fields(("x", "y", "z", "distance"))
 
 
 def stamp(time_ns: int) -> Timestamp:
@@ -134,20 +134,22 @@ def grid(
     *,
     corner: Sequence[float],
     cell_m: float,
+    name: str = "distance",
+    time_ns: int = 0,
 ) -> Grid:
-    """A map seen from above, its first row the lowest y."""
+    """A map seen from above, its first row the lowest y; `name` is that of its numbers."""
     packed = np.empty(distances.shape, _CELL)
     packed["distance"], packed["rgba"] = distances, colours
     width = distances.shape[1]
     return Grid(
-        timestamp=stamp(0),
+        timestamp=stamp(time_ns),
         frame_id="world",
         pose=pose(corner),
         column_count=width,
         cell_size=Vector2(x=cell_m, y=cell_m),
         row_stride=width * _CELL.itemsize,
         cell_stride=_CELL.itemsize,
-        fields=_CELL_FIELDS,
+        fields=_fields((name,)),
         data=packed.tobytes(),
     )
 

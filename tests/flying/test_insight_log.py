@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from omegaconf import OmegaConf
 from PIL import Image
 
@@ -16,6 +18,7 @@ from resc.recording.reader import RolloutLog
 from resc.recording.rewrite import recover
 from resc.recording.rollouts import RecordedRun
 from resc.setup import set_up
+from resc.viewing.foxglove import write_scene
 
 FLIGHTS = 3
 SEEN = ("scene=planned", "sensing=depth", "replanning=in_flight")
@@ -94,6 +97,24 @@ def test_plot_and_video_show_what_was_known(recording, tmp_path):
         assert abs(video.n_frames - seconds * 12.5) <= 2
         first, last = [shades(video, frame) for frame in (0, video.n_frames - 1)]
     assert last < first
+
+
+def test_a_3d_scene_shows_each_known_map_and_each_route(recording, tmp_path):
+    log = RolloutLog(recording)
+    path = write_scene(log, 0, tmp_path / "scene.mcap")
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = [
+            (channel.topic, message.log_time, decoded)
+            for _, channel, message, decoded in reader.iter_decoded_messages()
+        ]
+    grids = [(time, grid) for topic, time, grid in found if topic == "/map/known"]
+    maps = log.known_maps(0)
+    assert [time for time, _ in grids] == [known.step * 20_000_000 for known in maps]
+    numbers = np.frombuffer(grids[-1][1].data, "<f4")[::2].reshape(maps[-1].cells.shape)
+    assert np.array_equal(numbers, maps[-1].cells)
+    routes = [route for topic, _, route in found if topic == "/plan/route"]
+    assert [len(route.poses) - 1 for route in routes] == [len(r.points) for r in log.routes(0)]
 
 
 def shades(video, frame):

@@ -25,6 +25,7 @@ CAMERA = {"distance": 7.0, "phi": 50.0, "thetaOffset": 45.0, "perspective": True
 BACKGROUND = "#1c2128"
 PLAN, TRAIL = ("#ffffffff", "#ffffffff"), ("#f2a900ff", "#d7263dff")
 ESTIMATE, BESIDE_ESTIMATE = (ESTIMATED + "ff",) * 2, (TRUE + "66",) * 2
+ROUTE = ("#19d3b5ff",) * 2
 """The estimated track, and the true one around it, through which it shows."""
 SHARES = (62, 38)
 """Width [%] of the 3-D view and of the curves."""
@@ -76,6 +77,8 @@ def topics(observations: Sequence[str], tracks: Sequence[str] = ()) -> dict[str,
     beside = {
         "/drone/measured": {**points, "pointSize": 4.0},
         "/drone/estimate": {**line, "lineWidth": 0.015, "gradient": list(ESTIMATE)},
+        "/map/known": {"visible": True, "colorMode": "rgba-fields"},
+        "/plan/route": {**line, "lineWidth": 0.03, "gradient": list(ROUTE)},
     }
     trail = BESIDE_ESTIMATE if "/drone/estimate" in tracks else TRAIL
     return {
