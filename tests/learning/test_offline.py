@@ -91,7 +91,7 @@ def test_the_example_in_the_documentation_runs(flown, tmp_path, monkeypatch):
     (tmp_path / "runs" / "latest_train" / "rollouts").symlink_to(log.files[0].parent)
     monkeypatch.chdir(tmp_path)
     page = (Path(__file__).parents[2] / "docs" / "recording.md").read_text()
-    section = page.partition("## Learning from recordings")[2]
+    section = page.partition("## Learning from recordings")[2].partition("\n## ")[0]
     (block,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
     untrained = block.replace("success=True, ", "")
     assert untrained != block
