@@ -115,13 +115,21 @@ def require_as_begun(folder: Path) -> None:
         raise ConfigError(
             f"{path} cannot be read ({reason}); restore it, or delete the run's folder."
         ) from None
-    if changed := difference(begun.config, stored):
+    if changed := difference(_with_whole_path(begun.config, stored), stored):
         name, ours, theirs = changed
         raise ConfigError(
             f"{path} says {name}: {theirs}, but its sweep began the run with {ours}; runs of a "
             f"sweep differ in their overrides only: restore the file, or delete {folder} and "
             f"train the run again with: {go_on(folder)}"
         )
+
+
+def _with_whole_path(begun: Mapping[str, Any], stored: Any) -> dict[str, Any]:  # noqa: ANN401
+    """What a run was begun as, `init_from` written out as the run does that takes it."""
+    named, whole = begun.get("init_from"), stored.get("init_from")
+    parts = [part for part in Path(named or "").parts if part not in (".", "..")]
+    same = bool(parts) and list(Path(whole or "").parts[-len(parts) :]) == parts
+    return {**begun, "init_from": whole} if same else dict(begun)
 
 
 def plain(config: Any) -> Any:  # noqa: ANN401 - any configuration

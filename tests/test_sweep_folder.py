@@ -106,3 +106,14 @@ def test_class_that_has_moved_since_is_no_difference():
     assert difference({"model": old}, {"model": new}) is None
     other = {"_target_": "resc.policies.networks.Other"}
     assert difference({"model": old}, {"model": other}) is not None
+
+
+def test_weights_that_a_run_begins_with_are_the_same_however_far_their_path_is_written(run):
+    job = json.loads((run / "job.json").read_text())
+    config = {**job["config"], "init_from": "../policies/obstacles"}
+    (run / "job.json").write_text(json.dumps({**job, "config": config}))
+    OmegaConf.save({**config, "init_from": "/x/policies/obstacles"}, run / "config.yaml")
+    require_as_begun(run)
+    OmegaConf.save({**config, "init_from": "/x/policies/dial"}, run / "config.yaml")
+    with pytest.raises(ConfigError, match="says init_from: /x/policies/dial, but"):
+        require_as_begun(run)
