@@ -257,7 +257,7 @@ class Replanning(Term):
     """Renews the route in flight, by the map that the vehicle knows.
 
     It runs once the step is judged, so that the new control points are the first to be observed; an
-    episode begins with its `compute` of step 0. Its position is the estimated one, if there is one.
+    episode begins with its `compute` of step 0. It reads the estimated state, if there is one.
     """
 
 

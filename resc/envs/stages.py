@@ -412,11 +412,12 @@ class Stages(nn.Module):
         self._replan(tensors)
 
     def _replan(self, tensors: World) -> None:
-        """Renews the routes, from where the vehicles are estimated to be."""
+        """Renews the routes, by the state that is estimated."""
         if term := self.terms.replanning:
-            where = keys.ESTIMATED_POSITION_W if self.terms.estimator else keys.POSITION_W
+            estimates = keys.ESTIMATES if self.terms.estimator else {}
             going_on = torch.zeros_like(tensors[keys.FINISHED])
-            seen = {keys.DONE: going_on} | tensors | {keys.POSITION_W: tensors[where]}
+            seen = {keys.DONE: going_on} | tensors
+            seen |= {true: tensors[key] for true, key in estimates.items()}
             term.run(seen)
             tensors |= {key: seen[key] for key in term.outputs}
 

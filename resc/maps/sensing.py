@@ -129,6 +129,15 @@ class NoisySensing(MapSensing):
     step_draws = 2
     reads = (*MapSensing.reads, keys.SENSING_STREAM)
     writes = (*keys.KNOWN_MAP, keys.SENSING_STREAM)
+    number: Tensor
+
+    def count(self, beams: int) -> None:
+        """Numbers the beams of a scan."""
+        self.register_buffer("number", torch.arange(beams), persistent=False)
+
+    def places(self, place: Int64[Tensor, "n 1"], which: int) -> Int64[Tensor, "n b"]:
+        """Where random number `which`, 0 or 1, of each beam stands: sequences of their own."""
+        return (place + (2 * self.number + which) * 0x9E3779B1) & stream.WORD
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """What is in sight all round is known; the sequence begins with the first look."""

@@ -43,7 +43,6 @@ class Depth(NoisySensing):
     """
 
     turn: Tensor
-    number: Tensor
 
     def __init__(
         self,
@@ -68,7 +67,7 @@ class Depth(NoisySensing):
         angle = (torch.arange(beams) + 0.5) / beams * horizontal_rad - horizontal_rad / 2
         turn = torch.stack((angle.cos(), angle.sin()), -1)
         self.register_buffer("turn", turn, persistent=False)
-        self.register_buffer("number", torch.arange(beams), persistent=False)
+        self.count(beams)
 
     def compute(
         self,
@@ -88,8 +87,8 @@ class Depth(NoisySensing):
         length = self._length(attitude, direction)
         place = self.moved_on(clock, place, unit)
         ahead = self.range_m / length.clamp(min=1e-6)  # cosine of the angle to the optical axis
-        growth = self.noise_1pm * ahead * gaussian(stream.uniform(self._places(place, 0)))
-        lost = stream.uniform(self._places(place, 1)) < self.lost_share
+        growth = self.noise_1pm * ahead * gaussian(stream.uniform(self.places(place, 0)))
+        lost = stream.uniform(self.places(place, 1)) < self.lost_share
         length = torch.where(lost, 0.0, length)
         beams = Beams(position[:, :2], direction, length, torch.zeros_like(length), growth)
         field = (index, truth, origin, size)
@@ -106,7 +105,3 @@ class Depth(NoisySensing):
         wide, high = self.slopes
         inside = (x > 1e-3) & (y.abs() <= x * wide) & (z.abs() <= x * high)
         return torch.where(inside, self.range_m / x.clamp(min=1e-3), 0.0)
-
-    def _places(self, place: Tensor, which: int) -> Tensor:
-        """Where the random number of each beam stands: sequences of their own."""
-        return (place + (2 * self.number + which) * 0x9E3779B1) & stream.WORD

@@ -34,7 +34,6 @@ class Lidar2d(NoisySensing):
     """
 
     around: Tensor
-    number: Tensor
 
     def __init__(
         self,
@@ -56,7 +55,7 @@ class Lidar2d(NoisySensing):
         angle = torch.arange(beams) * (2 * math.pi / beams)
         around = torch.stack((angle.cos(), angle.sin(), torch.zeros(beams)), -1)
         self.register_buffer("around", around, persistent=False)
-        self.register_buffer("number", torch.arange(beams), persistent=False)
+        self.count(beams)
 
     def compute(
         self,
@@ -77,8 +76,8 @@ class Lidar2d(NoisySensing):
         floor = position[:, 2:].clamp(min=0) / (-beam[..., 2]).clamp(min=1e-6)
         length = level * floor.clamp(max=self.range_m)
         place = self.moved_on(clock, place, unit)
-        noise = gaussian(stream.uniform(self._places(place, 0))) * self.noise_m * level
-        lost = stream.uniform(self._places(place, 1)) < self.lost_share
+        noise = gaussian(stream.uniform(self.places(place, 0))) * self.noise_m * level
+        lost = stream.uniform(self.places(place, 1)) < self.lost_share
         direction = beam[..., :2] / level.unsqueeze(-1)
         length = torch.where(lost, 0.0, length)
         beams = Beams(position[:, :2], direction, length, noise, torch.zeros_like(noise))
@@ -86,7 +85,3 @@ class Lidar2d(NoisySensing):
         due = self.due(clock)
         scan(field, beams, due, evidence, esdf, self.evidence, self.resolution_m)
         return evidence, esdf, place
-
-    def _places(self, place: Tensor, which: int) -> Tensor:
-        """Where the random number of each beam stands: sequences of their own."""
-        return (place + (2 * self.number + which) * 0x9E3779B1) & stream.WORD
