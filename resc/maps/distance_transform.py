@@ -23,28 +23,31 @@ def distance_transform(
     Separable and exact: squared integer distances along the columns, then over the rows
     min over k of (g(x + k)^2 + k^2), until k^2 alone is more than is found. Truncation bounds |k|,
     so its cost is at most P H W min(W, truncation). An empty map holds the truncation, or infinity
-    without one.
+    without one. The root is numba's, which is rounded as IEEE 754 says: the last bit of torch's
+    depends on the processor.
     """
     width = occupied.shape[2]
     reach = width if truncation_m is None else min(width, int(truncation_m / resolution_m) + 1)
     given = np.ascontiguousarray(occupied.cpu().numpy())
-    squared = np.empty(given.shape, F)
-    share_out(_square, len(given), torch.get_num_threads(), given, squared, reach, least=LEAST)
-    distance = torch.from_numpy(squared).to(occupied.device).sqrt_().mul_(resolution_m)
-    return distance if truncation_m is None else distance.clamp_(max=truncation_m)
+    distance = np.empty(given.shape, F)
+    most = F(np.inf if truncation_m is None else truncation_m)
+    sizes = (reach, F(resolution_m), most)
+    share_out(_transform, len(given), torch.get_num_threads(), given, distance, sizes, least=LEAST)
+    return torch.from_numpy(distance).to(occupied.device)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _square(
+def _transform(
     first: int,
     last: int,
     occupied: Bool[np.ndarray, "p h w"],
     result: Float32[np.ndarray, "p h w"],
-    reach: int,
+    sizes: tuple[int, float, float],
 ) -> None:
-    """Writes squared distances in cells; those of `reach` and more may be too great."""
+    """Writes distances [m]; `sizes` are the reach in cells, a cell's edge and the truncation."""
     _, height, width = occupied.shape
+    reach, resolution, truncation = sizes
     row = np.full(width + 2 * reach, F(np.inf), F)  # nothing beyond the map
     for n in range(first, last):
         _along_columns(occupied[n], result[n])
@@ -62,6 +65,8 @@ def _square(
                 _lower(best, row[reach - k :], row[reach + k :], added)
                 if k % 4 == 0:
                     most = _greatest(best)
+            for x in range(width):
+                best[x] = min(np.sqrt(best[x]) * resolution, truncation)
 
 
 @njit(error_model="numpy")
