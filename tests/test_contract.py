@@ -356,7 +356,7 @@ def test_vehicle_rate_loop_and_dynamics_combine(make_env, vehicle, rate_loop, dy
     parts = (f"vehicle={vehicle}", f"rate_loop={rate_loop}", f"dynamics={dynamics}")
     env = make_env("num_envs=2", "obstacle_observation=none", "scene=free", *parts)
     env.restart(torch.arange(2))
-    for _ in range(3):
+    for _ in range(2):
         out = env.advance(torch.zeros(2, 4))
     assert out.observation.isfinite().all()
     assert env.value_of(("state", "acceleration_w")).norm(dim=-1).max() < 12

@@ -541,14 +541,14 @@ def kill_and_read(directory, children, seed):
     recorder(directory, 64).close()  # no lock is left behind
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0])
 def test_a_killed_process_leaves_every_flushed_batch_readable(tmp_path, children, seed):
     kill_and_read(tmp_path, children, seed)
 
 
 @pytest.mark.slow
 def test_fifty_killed_processes_leave_every_flushed_batch_readable(tmp_path, children):
-    for seed in range(3, 53):
+    for seed in range(1, 51):
         kill_and_read(tmp_path / str(seed), children, seed)
 
 
