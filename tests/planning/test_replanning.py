@@ -214,6 +214,23 @@ def test_flights_replan_on_what_they_see_and_the_same_seed_gives_the_same_bits(m
     assert torch.equal(env.value_of(keys.REPLANS)[:, 0], begun)
 
 
+@pytest.mark.parametrize("key", [keys.POSITION_W, keys.VELOCITY_W])
+def test_routes_begin_at_the_estimated_state_and_not_at_the_true_one(make_env, key):
+    env = make_env("num_envs=8", "sensing=local", "replanning=in_flight", "estimator=noise")
+    env.restart(torch.arange(8))
+    world = {name: env.value_of(name) for name in env.stages.persistent} | env.pool.shared
+    world |= {keys.CLOCK: torch.zeros(8, 1), keys.REPLAN_OVER: torch.zeros(8, 1).bool()}
+    routes = []
+    for changed in (None, key, keys.ESTIMATES[key]):
+        tensors = {name: value.clone() for name, value in world.items()}
+        if changed is not None:
+            tensors[changed][:, :2] = torch.tensor([[-30.0, 30.0]])
+        env.stages._replan(tensors)
+        routes.append(tensors[keys.ROUTE_W])
+    assert torch.equal(routes[0], routes[1])
+    assert not torch.equal(routes[0], routes[2])
+
+
 @pytest.mark.parametrize(
     ("overrides", "sentence"),
     [
