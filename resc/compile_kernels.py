@@ -7,7 +7,6 @@ file again that has changed since.
 from resc.door import make_env
 from resc.places import CONF
 
-SMALL = {"num_envs": 1, "pool_size": 8}
 FLYING = (
     ("sensing=depth", "replanning=in_flight"),
     ("sensing=local",),
@@ -21,5 +20,5 @@ def compile_kernels() -> None:
     """Flies a few steps of everything that has kernels of its own."""
     searches = ((f"search={path.stem}",) for path in sorted((CONF / "search").glob("*.yaml")))
     for overrides in (*FLYING, *searches):
-        env = make_env(*overrides, **SMALL)
+        env = make_env(*overrides, num_envs=1, pool_size=8)
         env.rollout(6, auto_reset=True)
