@@ -1,5 +1,6 @@
 """One flight of a vehicle behind a link: prepared as an evaluation, flown, recorded."""
 
+import gc
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -38,6 +39,8 @@ PARTS = {
 START = "resc.deployment.vehicle.MeasuredStart"
 STOPPED = {"_target_": "resc.deployment.vehicle.LinkStopped"}
 ARRIVED = "arrived"
+BATCH_STEPS = 10
+"""Steps recorded at once: to record a hundred would take half a control period."""
 REHEARSED = 10
 """Steps before a flight, of a vehicle that stands."""
 
@@ -177,11 +180,13 @@ def fly_linked(prepared: Prepared, link: Link, directory: Path, *, arm: bool) ->
     assert isinstance(start, MeasuredStart)
     try:
         _rehearse(env, pilot)
+        gc.collect()
+        gc.freeze()  # or the collector looks through all that was imported, in flight
         link.engage(arm=arm)
         vehicle.link = start.link = link
         env.restart(torch.arange(1))
         pilot.begin(1, env.stages, env.pool.shared)
-        log = None if recorder is None else FlightLog(recorder, env)
+        log = None if recorder is None else FlightLog(recorder, env, BATCH_STEPS)
         try:
             return _steps(env, pilot, link, log)
         finally:
@@ -189,6 +194,7 @@ def fly_linked(prepared: Prepared, link: Link, directory: Path, *, arm: bool) ->
                 log.flush()
     finally:
         link.hand_over()
+        gc.unfreeze()
         vehicle.link = start.link = None
         if recorder is not None:
             recorder.close()

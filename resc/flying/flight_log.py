@@ -29,10 +29,14 @@ class FlightLog:
     Args:
         recorder: Takes the batches; the caller closes it.
         env: What is flown.
+        batch_steps: Steps handed over at once.
     """
 
-    def __init__(self, recorder: RolloutRecorder, env: QuadrotorEnv) -> None:
+    def __init__(
+        self, recorder: RolloutRecorder, env: QuadrotorEnv, batch_steps: int = BATCH_STEPS
+    ) -> None:
         self.recorder = recorder
+        self.batch_steps = batch_steps
         self.state = [column.key for column in before_step(env.stages.persistent)]
         self.statistics = EpisodeStatistics(env.num_envs, env.stages.outcomes, env.device)
         self.scene = env.value_of(keys.SCENE_INDEX)
@@ -76,7 +80,7 @@ class FlightLog:
         if self.maps is not None:
             self.maps.step(number, flying, out.done)
         self.steps.append(step)
-        if len(self.steps) == BATCH_STEPS:
+        if len(self.steps) == self.batch_steps:
             self.flush()
 
     def flush(self) -> None:
