@@ -4,7 +4,6 @@ The drone flies roughly straight from one control point to the next, so these li
 well: a point at which the path turns round an obstacle may be replaced, but not left out.
 """
 
-from itertools import pairwise
 from math import ceil, floor, hypot
 from typing import Literal, TypeAlias, no_type_check
 
@@ -49,12 +48,12 @@ def control_points(
     """
     if len(points_m) == 0:
         raise PlanningError("The path has no points; plan until the status is 'found'.")
+    limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
     if rule == "released":
-        kept = _released(points_m, spacing_m, nominal_m)
+        kept = released_points(np.asarray(points_m, np.float64), limits)
     elif rule == "visible":
         x0_m, y0_m = (float(corner) + 0.5 * resolution_m for corner in origin_xy_m)
         frame = (x0_m, y0_m, float(resolution_m))
-        limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
         gives_way = gives_way_at(clearance_m, resolution_m)
         kept = visible_points(np.asarray(points_m, np.float64), blocked, frame, limits, gives_way)
     else:
@@ -239,20 +238,30 @@ def _split_long(corners_m: Points, longest_m: float, nominal_m: float) -> Points
     return kept
 
 
-def _released(
-    points_m: Float[np.ndarray, "v 2"], spacing_m: tuple[float, float], nominal_m: float
-) -> Float[np.ndarray, "k 2"]:
-    """The released rule, without the start point itself.
+@njit(cache=True)
+@no_type_check
+def released_points(points_m: Points, limits: Limits) -> Points:
+    """The points of the rule `released`, without the start [m]; `limits` as of `visible_points`.
 
-    A segment within the spacing gives its first point.  Any other gives a point every `nominal_m`
-    from its first point on, none nearer than the lower spacing to its end: nothing at all if it is
-    shorter than that.  The goal comes last.
+    A segment within the spacing gives its first point.  Any other gives a point every nominal
+    spacing from its first point on, none nearer than the lower spacing to its end: nothing at all
+    if it is shorter than that.  The goal comes last.
     """
-    kept = []
-    for a, b in pairwise(points_m):
-        length_m = hypot(*(b - a))
-        within = spacing_m[0] <= length_m <= spacing_m[1]
-        count = 1 if within else floor((length_m - spacing_m[0]) / nominal_m) + 1
-        kept += [a + (b - a) * (n * nominal_m / length_m) for n in range(count)]
-    ahead = [point for point in kept if not np.array_equal(point, points_m[0])]
-    return np.array([*ahead, points_m[-1]])
+    least, most, nominal = limits
+    last = len(points_m) - 1
+    room = 1
+    for k in range(last):
+        room += 1 + int(_length(_point(points_m, k), _point(points_m, k + 1)) / nominal)
+    kept, at = np.empty((room, 2)), 0
+    for k in range(last):
+        a, b = _point(points_m, k), _point(points_m, k + 1)
+        length = _length(a, b)
+        within = least <= length <= most
+        for n in range(1 if within else floor((length - least) / nominal) + 1):
+            share = n * nominal / length
+            x, y = a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share
+            if x != points_m[0, 0] or y != points_m[0, 1]:
+                kept[at, 0], kept[at, 1] = x, y
+                at += 1
+    kept[at, 0], kept[at, 1] = points_m[last, 0], points_m[last, 1]
+    return kept[: at + 1]

@@ -1,7 +1,7 @@
 """Replanning in flight, on the map that each vehicle knows."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from resc.keys import NestedKey
 from resc.maps.cpu_kernels import share_out
 from resc.math.route import next_two
 from resc.planning import replanning_kernels
+from resc.planning.control_points import released_points
 from resc.planning.replanning_kernels import CLOSED_OFF, RENEWED
 from resc.planning.searches.open_list import workspace
 from resc.quantities import NotNegative, Positive, Within
@@ -58,6 +59,8 @@ class InFlight(Replanning):
         max_expansions: Work after which a search gives up.
         spacing_m: Least and greatest distance between control points.
         nominal_m: Distance aimed at on long lines.
+        rule: How they are laid (`resc.planning.control_points`): with lines that stay free, or as
+            in the released code.
         points: Control points that a route has room for.
     """
 
@@ -114,6 +117,7 @@ class InFlight(Replanning):
         max_expansions: Annotated[int, Within(1, 1e9)] = 100_000,
         spacing_m: Sequence[Positive] = (1.0, 2.0),
         nominal_m: Positive = 1.5,
+        rule: Literal["visible", "released"] = "visible",
         points: Annotated[int, Within(8, 512)] = 64,
     ) -> None:
         super().__init__()
@@ -131,9 +135,11 @@ class InFlight(Replanning):
         limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
         self.numbers = (ahead_m, margin_m, link_m, turn_m, seen_m, max_expansions)
         self.limits = limits
+        self.released = rule == "released"
         # numba: once a kernel that calls it is loaded from its cache, a function that gives arrays
         # to Python lacks their type, unless it was loaded before.
         workspace(1, 1)
+        released_points(np.zeros((1, 2)), limits)
 
     def bind(self, context: Context) -> None:
         """Takes the size of a cell, and how many steps there are between two checks."""
@@ -224,7 +230,10 @@ class InFlight(Replanning):
             route,
             length,
             ahead,
-            [float(number) for number in (self.resolution_m, *self.numbers, *self.limits)],
+            [
+                float(number)
+                for number in (self.resolution_m, *self.numbers, *self.limits, self.released)
+            ],
         )
         renewed, closed = found == RENEWED, found >= CLOSED_OFF
         hover = torch.where(closed & ~lost, position, hover)
@@ -277,8 +286,8 @@ def _replan(
     of_route = [route[..., :2].double(), length[:, 0], ahead[:, 0]]
     given = (*columns, *maps, *ends, clearance[:, 0].double(), esdf, evidence, *of_route)
     arrays = [tensor.cpu().contiguous().numpy() for tensor in given]
-    *others, expansions, least, most, nominal = numbers
-    settings = (*others, int(expansions), (least, most, nominal))
+    *others, expansions, least, most, nominal, released = numbers
+    settings = (*others, int(expansions), (least, most, nominal), bool(released))
     share_out(
         replanning_kernels.renew,
         n,

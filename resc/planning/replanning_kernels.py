@@ -3,8 +3,8 @@
 `settings` are the edge of a cell [m], how far ahead of the vehicle a route is checked [m], what it
 must keep [m], how far an end inside the clearance may be moved [m], by how much a route that goes
 on may be longer than one that turns back [m], within which distance of the vehicle cells have to be
-seen [m], the greatest number of expansions, and the spacing of control points
-(`resc.planning.control_points`).
+seen [m], the greatest number of expansions, the spacing of control points, and whether they follow
+the released rule (`resc.planning.control_points`).
 """
 
 from math import floor, hypot, sqrt
@@ -13,7 +13,7 @@ from typing import no_type_check
 from numba import njit
 
 from resc.maps.known_map_kernels import UNKNOWN
-from resc.planning.control_points import visible_points
+from resc.planning.control_points import released_points, visible_points
 from resc.planning.searches.cone_scan import build_table
 from resc.planning.searches.corner_astar import find_path
 from resc.planning.searches.open_list import BUDGET, FOUND, workspace
@@ -77,7 +77,7 @@ def renew(
         counts: Written: how many of them.
         moved: Written: whether start or goal had to be moved out of the clearance.
     """
-    cell_m, look_m, margin_m, link_m, turn_m, seen_m, expansions, limits = settings
+    cell_m, look_m, margin_m, link_m, turn_m, seen_m, expansions, limits, released = settings
     _, height, width = esdf.shape
     work = workspace(height * width, 8 * height * width)
     query = 0
@@ -126,7 +126,10 @@ def renew(
                 other = work[-1][: found[1]]
                 if found[0] == FOUND and _length(other) <= _length(path) + turn_m:
                     path, chart = other.copy(), onward
-        points = visible_points(path, chart, frame, limits, squared >= 4)
+        if released:
+            points = released_points(path, limits)
+        else:
+            points = visible_points(path, chart, frame, limits, squared >= 4)
         status[n] = RENEWED
         linked = start[0] != position[n, 0] or start[1] != position[n, 1]
         moved[n] = linked or end[0] != goal[n, 0] or end[1] != goal[n, 1]

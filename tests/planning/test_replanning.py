@@ -214,6 +214,24 @@ def test_flights_replan_on_what_they_see_and_the_same_seed_gives_the_same_bits(m
     assert torch.equal(env.value_of(keys.REPLANS)[:, 0], begun)
 
 
+def test_the_released_rule_lays_a_point_every_metre_and_a_half():
+    flight = Flight(rule="released", spacing_m=(0.5, 2.0))
+    assert flight.check(0, known()) == RENEWED
+    ahead = torch.tensor([-2.5, -1.0, 0.5, 2.0, 3.5, 5.0])
+    assert_close(flight.route[:, 0], ahead, rtol=0, atol=1e-6)
+
+
+def test_lines_of_the_released_rule_may_cross_what_those_of_the_other_keep_clear_of():
+    slalom = known((-1.0, -0.8, -6.0, 0.3), (0.0, 0.2, -0.3, 6.0), (1.0, 1.2, -6.0, 0.3))
+    least = {}
+    for rule in ("visible", "released"):
+        flight = Flight(rule=rule, spacing_m=(0.5, 2.0), clearance_m=0.3)
+        assert flight.check(0, slalom) == RENEWED
+        least[rule] = clearance_along(flight, slalom)
+    assert least["visible"] > 0.2
+    assert least["released"] < least["visible"]
+
+
 @pytest.mark.parametrize("key", [keys.POSITION_W, keys.VELOCITY_W])
 def test_routes_begin_at_the_estimated_state_and_not_at_the_true_one(make_env, key):
     env = make_env("num_envs=8", "sensing=local", "replanning=in_flight", "estimator=noise")
