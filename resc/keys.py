@@ -214,6 +214,14 @@ PILLARS_W = _declare(
     "round columns: x and y of the axis, radius",
     shared=True,
 )
+MOVERS_W = _declare(
+    ("map", "movers_w"),
+    ("p", "o", 10),
+    "m, m/s",
+    "columns that move: x and y at the beginning, velocity, half the edges (radius and 0: round), "
+    "least and greatest x and y of the centre",
+    shared=True,
+)
 
 CLEARANCE = _declare(("sensor", "clearance"), (1,), "m", "distance field at the vehicle's cell")
 SURFACE_CLEARANCE = _declare(

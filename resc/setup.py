@@ -41,6 +41,17 @@ class Setup:
     pool: ScenePool
     planner: RoutePlanner | None = None
 
+    def __post_init__(self) -> None:
+        """Refuses movers that nothing shows to the policy."""
+        terms = self.stages.terms
+        shown = terms.sensing or any(keys.MOVERS_W in term.reads for term in terms.observations)
+        if self.pool.shared[keys.MOVERS_W].shape[1] and not shown:
+            raise ConfigError(
+                "scene.movers are obstacles that move, but without a sensing the policy sees a map "
+                "on which they are not; choose sensing=local, depth or lidar2d, or add "
+                "nearest_movers to observation."
+            )
+
     def env(self, num_envs: int, **options: Any) -> QuadrotorEnv:
         """An environment of so many rows; the options are those of `QuadrotorEnv`."""
         device = self.pool.shared[keys.ESDF].device

@@ -530,6 +530,8 @@ def _known_map(tensors: World) -> World:
     entry = tensors[keys.SCENE_INDEX][:, 0]
     own = torch.arange(len(entry), device=entry.device).unsqueeze(-1)
     corner = {key: tensors[key][entry] for key in (keys.MAP_ORIGIN_W, keys.MAP_SIZE)}
+    if tensors[keys.MOVERS_W].shape[1]:
+        corner[keys.MOVERS_W] = tensors[keys.MOVERS_W][entry]
     return {keys.ESDF: tensors[keys.KNOWN_ESDF], keys.SCENE_INDEX: own, **corner}
 
 

@@ -27,13 +27,14 @@ Episodes = dict[str, np.ndarray]
 def tabulate_episodes(flights: Flights, pool: ScenePool) -> Episodes:
     """One entry per episode under every column; episode i flies in scene i of the pool.
 
-    `obstacles` counts boxes and pillars, `density` is the occupied share of the ground near the
-    route, `time_s` lasts from the start to the end of the episode, whatever ended it.
+    `obstacles` counts boxes, pillars and movers, `density` is the share of the ground near the
+    route that is occupied by what stands still, `time_s` lasts from the start to the end of the episode, whatever ended it.
     """
-    boxes, pillars = pool.layout.boxes_w, pool.layout.pillars_w
+    layout = pool.layout
+    lengths = (layout.boxes_w[..., 2], layout.pillars_w[..., 2], layout.movers_w[..., 4])
     return {
         "scene": np.arange(len(flights)),
-        "obstacles": ((boxes[..., 2] > 0).sum(-1) + (pillars[..., 2] > 0).sum(-1)).numpy(),
+        "obstacles": sum((length > 0).sum(-1) for length in lengths).numpy(),
         "density": density_near_route(pool).double().numpy(),
         "outcome": np.array(flights.names),
         "success": flights.success.numpy().astype(np.int64),

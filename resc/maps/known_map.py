@@ -17,6 +17,7 @@ from resc.maps import known_map_kernels
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.cpu_kernels import share_out
 from resc.maps.distance_transform import distance_transform
+from resc.maps.movers import covered
 
 UNKNOWN = -128
 """Evidence of a cell that was never seen."""
@@ -33,6 +34,7 @@ class Evidence(NamedTuple):
         least: Greatest certainty that a cell is free.
         most: Greatest certainty that it is occupied.
         occupied: From here on a cell counts as occupied.
+        fade: Taken from what is above zero of a cell that the scan does not see.
     """
 
     hit: int
@@ -40,6 +42,7 @@ class Evidence(NamedTuple):
     least: int
     most: int
     occupied: int
+    fade: int = 0
 
 
 class Beams(NamedTuple):
@@ -68,6 +71,7 @@ def scan(
     esdf: Float[Tensor, "n h w"],
     model: Evidence,
     resolution_m: float,
+    movers: Float[Tensor, "n m 4"] | None = None,
 ) -> tuple[Int8[Tensor, "n h w"], Float[Tensor, "n h w"]]:
     """The map after a scan by the vehicles that are `due`; `evidence` and `esdf` change in place.
 
@@ -85,8 +89,11 @@ def scan(
         esdf: Distance [m] to the nearest cell that counts as occupied.
         model: What a scan adds.
         resolution_m: Edge of a cell.
+        movers: Where obstacles are that move (`resc.maps.movers.outlines`): the cells that they
+            overlap are occupied, too.
     """
-    torch.ops.resc.scan(*field, *beams, due, evidence, esdf, list(model), resolution_m)
+    moving = _given(movers, beams.here)
+    torch.ops.resc.scan(*field, *beams, moving, due, evidence, esdf, list(model), resolution_m)
     return evidence, esdf
 
 
@@ -99,10 +106,19 @@ def reveal(
     esdf: Float[Tensor, "n h w"],
     model: Evidence,
     resolution_m: float,
+    movers: Float[Tensor, "n m 4"] | None = None,
 ) -> tuple[Int8[Tensor, "n h w"], Float[Tensor, "n h w"]]:
     """The map once all within a radius is known as it is, behind obstacles, too; as `scan`."""
-    torch.ops.resc.reveal(*field, here, radius_m, due, evidence, esdf, list(model), resolution_m)
+    moving, numbers = _given(movers, here), list(model)
+    torch.ops.resc.reveal(
+        *field, here, radius_m, moving, due, evidence, esdf, numbers, resolution_m
+    )
     return evidence, esdf
+
+
+def _given(movers: Float[Tensor, "n m 4"] | None, here: Float[Tensor, "n 2"]) -> Tensor:
+    """The movers; none of them where none are given."""
+    return here.new_empty(len(here), 0, 4) if movers is None else movers
 
 
 @torch.library.custom_op("resc::scan", mutates_args=("evidence", "esdf"))
@@ -116,6 +132,7 @@ def _scan(
     length: Tensor,
     offset: Tensor,
     growth: Tensor,
+    movers: Tensor,
     due: Tensor,
     evidence: Tensor,
     esdf: Tensor,
@@ -124,9 +141,11 @@ def _scan(
 ) -> None:
     if not evidence.is_cpu:
         beams = Beams(here, direction, length, offset, growth)
-        scan_in_torch((index, truth, origin, size), beams, due, evidence, esdf, model, resolution)
+        field = (index, truth, origin, size)
+        scan_in_torch(field, beams, due, evidence, esdf, model, resolution, movers)
         return
-    given = (index[:, 0], truth, origin, size, here, direction, length, offset, growth, due[:, 0])
+    seen = (here, direction, length, offset, growth, movers)
+    given = (index[:, 0], truth, origin, size, *seen, due[:, 0])
     arrays = [tensor.contiguous().numpy() for tensor in given]
     changing = (evidence.numpy(), esdf.numpy())
     settings = (resolution, tuple(model), TRUNCATION_M)
@@ -149,6 +168,7 @@ def _reveal(
     size: Tensor,
     here: Tensor,
     radius: float,
+    movers: Tensor,
     due: Tensor,
     evidence: Tensor,
     esdf: Tensor,
@@ -157,10 +177,18 @@ def _reveal(
 ) -> None:
     if not evidence.is_cpu:
         reveal_in_torch(
-            (index, truth, origin, size), here, radius, due, evidence, esdf, model, resolution
+            (index, truth, origin, size),
+            here,
+            radius,
+            due,
+            evidence,
+            esdf,
+            model,
+            resolution,
+            movers,
         )
         return
-    given = (index[:, 0], truth, origin, size, here, due[:, 0])
+    given = (index[:, 0], truth, origin, size, here, movers, due[:, 0])
     arrays = [tensor.contiguous().numpy() for tensor in given]
     changing = (evidence.numpy(), esdf.numpy())
     settings = (resolution, tuple(model), TRUNCATION_M)
@@ -184,9 +212,10 @@ def scan_in_torch(
     esdf: Float[Tensor, "n h w"],
     model: list[int],
     resolution_m: float,
+    movers: Float[Tensor, "n m 4"] | None = None,
 ) -> None:
     """`scan` by torch operations alone."""
-    index, truth, origin, size = field
+    index, _, origin, size = field
     n, height, width = evidence.shape
     start = beams.here - origin[index[:, 0]]
     step_m = resolution_m / 2
@@ -201,7 +230,8 @@ def scan_in_torch(
     place = (cell[..., 1].clamp(0, height - 1) * width + cell[..., 0].clamp(0, width - 1)).flatten(
         1
     )
-    occupied = (truth.flatten(1)[index[:, 0]].gather(1, place) <= 0).view(seen.shape) & seen
+    solid = _solid(field, _given(movers, beams.here), resolution_m).flatten(1)
+    occupied = solid.gather(1, place).view(seen.shape) & seen
     meets = occupied.any(-1)
     first = occupied.to(torch.int32).argmax(-1) * step_m
     measured = (first + beams.offset + beams.growth * first.square()).clamp(min=0)
@@ -214,9 +244,8 @@ def scan_in_torch(
     reach = torch.where(meets, measured - resolution_m, beams.length)
     passed = (seen & (along < reach.unsqueeze(-1))).flatten(1).to(torch.int32)
     free = torch.zeros_like(hit, dtype=torch.int32).scatter_reduce(1, place, passed, "amax") > 0
-    _add(
-        hit.view(n, height, width), free.view(n, height, width), evidence, esdf, model, resolution_m
-    )
+    passed = free.view(n, height, width)
+    _add(hit.view(n, height, width), passed, due, evidence, esdf, model, resolution_m)
 
 
 def reveal_in_torch(
@@ -228,9 +257,10 @@ def reveal_in_torch(
     esdf: Float[Tensor, "n h w"],
     model: list[int],
     resolution_m: float,
+    movers: Float[Tensor, "n m 4"] | None = None,
 ) -> None:
     """`reveal` by torch operations alone."""
-    index, truth, origin, size = field
+    index, _, origin, size = field
     _, height, width = evidence.shape
     start = (here - origin[index[:, 0]]) * (1.0 / resolution_m)
     rows = torch.arange(height, device=here.device) + 0.5
@@ -240,27 +270,51 @@ def reveal_in_torch(
     extent = size[index[:, 0]] * (1.0 / resolution_m)
     on_map = (rows[:, None] < extent[:, 1, None, None]) & (columns < extent[:, 0, None, None])
     near = (far <= (radius_m / resolution_m) ** 2) & on_map & due[:, :, None]
-    occupied = truth[index[:, 0]] <= 0
-    _, _, least, most, _ = model
-    before = evidence >= model[-1]
-    evidence.copy_(torch.where(near, torch.where(occupied, most, least).to(torch.int8), evidence))
+    occupied = _solid(field, _given(movers, here), resolution_m)
+    _, _, least, most, enough, fade = model
+    before = evidence >= enough
+    elsewhere = _faded(evidence, due, fade)
+    evidence.copy_(torch.where(near, torch.where(occupied, most, least).to(torch.int8), elsewhere))
     _renew(before, evidence, esdf, model, resolution_m)
+
+
+def _solid(
+    field: tuple[Tensor, Tensor, Tensor, Tensor],
+    movers: Float[Tensor, "n m 4"],
+    resolution_m: float,
+) -> Bool[Tensor, "n h w"]:
+    """Cells that an obstacle is in, be it one that moves."""
+    index, truth, origin, _ = field
+    still = truth[index[:, 0]] <= 0
+    if not movers.shape[1]:
+        return still
+    height, width = truth.shape[1:]
+    return still | covered(movers, origin[index[:, 0]], (height, width), resolution_m)
+
+
+def _faded(
+    evidence: Int8[Tensor, "n h w"], due: Bool[Tensor, "n 1"], fade: int
+) -> Int8[Tensor, "n h w"]:
+    """The evidence of cells that a scan does not see."""
+    less = (evidence.to(torch.int32) - fade).clamp(min=0).to(torch.int8)
+    return torch.where((evidence > 0) & due[:, :, None], less, evidence)
 
 
 def _add(
     hit: Bool[Tensor, "n h w"],
     free: Bool[Tensor, "n h w"],
+    due: Bool[Tensor, "n 1"],
     evidence: Int8[Tensor, "n h w"],
     esdf: Float[Tensor, "n h w"],
     model: list[int],
     resolution_m: float,
 ) -> None:
     """Adds what was hit and what was passed."""
-    added, missed, least, most, occupied = model
+    added, missed, least, most, occupied, fade = model
     before = evidence >= occupied
     known: Int[Tensor, "n h w"] = torch.where(evidence == UNKNOWN, 0, evidence.to(torch.int32))
     after = (known + torch.where(hit, added, missed)).clamp(least, most).to(torch.int8)
-    evidence.copy_(torch.where(hit | free, after, evidence))
+    evidence.copy_(torch.where(hit | free, after, _faded(evidence, due, fade)))
     _renew(before, evidence, esdf, model, resolution_m)
 
 
@@ -272,7 +326,7 @@ def _renew(
     resolution_m: float,
 ) -> None:
     """Computes the distance fields of the rows again whose occupied cells changed."""
-    now = evidence >= model[-1]
+    now = evidence >= model[4]
     rows = (now != before).flatten(1).any(1).nonzero()[:, 0]
     if len(rows):
         esdf[rows] = distance_transform(now[rows], resolution_m, TRUNCATION_M)

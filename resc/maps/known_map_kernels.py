@@ -31,6 +31,7 @@ def scan(
     length,
     offset,
     growth,
+    movers,
     due,
     evidence,
     esdf,
@@ -41,6 +42,8 @@ def scan(
     _, height, width = evidence.shape
     per_m, half = F(1.0 / resolution), F(resolution / 2)
     stamp, mark = np.zeros(height * width, np.int32), 0
+    moves = movers.shape[1] > 0
+    moving = np.zeros(height * width if moves else 0, np.int32)
     cells = np.empty(height * width, np.int32)
     beams = direction.shape[1]
     reach = np.empty(beams, F)
@@ -53,6 +56,8 @@ def scan(
         x0, y0 = here[n, 0] - origin[entry, 0], here[n, 1] - origin[entry, 1]
         mark += 2  # a cell that a beam ends in is stamped with it, one that is passed with one more
         known, counted = evidence[n].ravel(), 0
+        if moves:
+            _cover(moving, mark, movers[n], origin[entry], per_m, width, height)
         for b in range(beams):
             ux, uy, far = direction[n, b, 0], direction[n, b, 1], length[n, b]
             reach[b] = far
@@ -62,7 +67,8 @@ def scan(
                 if not (x >= F(0) and y >= F(0) and x < wide and y < high):
                     break
                 column, row = _cell(x, y, per_m, width, height)
-                if true[row * width + column] <= F(0):
+                cell = row * width + column
+                if true[cell] <= F(0) or (moves and moving[cell] == mark):
                     at = F(k) * half
                     measured = max(at + offset[n, b] + growth[n, b] * (at * at), F(0))
                     reach[b] = measured - F(resolution)
@@ -88,12 +94,15 @@ def scan(
                     stamp[cell] = mark + 1
                     counted = _add(known, cell, model[1], model, cells, counted)
                 k += 1
+        counted = _fade(known, stamp, mark, model, cells, counted)
         _renew(evidence[n], esdf[n], cells[:counted], model, resolution, truncation)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def reveal(first, last, index, truth, origin, size, here, due, evidence, esdf, radius, settings):
+def reveal(
+    first, last, index, truth, origin, size, here, movers, due, evidence, esdf, radius, settings
+):
     """Makes known what lies within a radius of rows [first, last) that are due."""
     resolution, model, truncation = settings
     _, height, width = evidence.shape
@@ -101,6 +110,9 @@ def reveal(first, last, index, truth, origin, size, here, due, evidence, esdf, r
     cells = np.empty(height * width, np.int32)
     farthest = F((radius / resolution) ** 2)
     reach = int(radius / resolution) + 2
+    stamp, mark = np.zeros(height * width, np.int32), 0
+    moves = movers.shape[1] > 0
+    moving = np.zeros(height * width if moves else 0, np.int32)
     for n in range(first, last):
         if not due[n]:
             continue
@@ -109,6 +121,9 @@ def reveal(first, last, index, truth, origin, size, here, due, evidence, esdf, r
         y0 = (here[n, 1] - origin[entry, 1]) * per_m
         wide, high = size[entry, 0] * per_m, size[entry, 1] * per_m
         known, counted = evidence[n], 0
+        mark += 1
+        if moves:
+            _cover(moving, mark, movers[n], origin[entry], per_m, width, height)
         for row in range(max(0, int(y0) - reach), min(height, int(y0) + reach + 1)):
             for column in range(max(0, int(x0) - reach), min(width, int(x0) + reach + 1)):
                 y, x = F(row) + F(0.5), F(column) + F(0.5)
@@ -116,11 +131,14 @@ def reveal(first, last, index, truth, origin, size, here, due, evidence, esdf, r
                 if not (far <= farthest and x < wide and y < high):
                     continue
                 before = known[row, column] >= model[4]
-                occupied = truth[entry, row, column] <= F(0)
+                cell = row * width + column
+                stamp[cell] = mark
+                occupied = truth[entry, row, column] <= F(0) or (moves and moving[cell] == mark)
                 known[row, column] = model[3] if occupied else model[2]
                 if before != occupied:
-                    cells[counted] = row * width + column
+                    cells[counted] = cell
                     counted += 1
+        counted = _fade(known.ravel(), stamp, mark, model, cells, counted)
         _renew(known, esdf[n], cells[:counted], model, resolution, truncation)
 
 
@@ -134,9 +152,42 @@ def _cell(x, y, per_m, width, height):
 
 @njit(error_model="numpy")
 @no_type_check
+def _cover(moving, mark, movers, corner, per_m, width, height):
+    """Marks the cells that movers overlap (`resc.maps.movers.covered`)."""
+    for m in range(movers.shape[0]):
+        x0, y0 = (movers[m, 0] - corner[0]) * per_m, (movers[m, 1] - corner[1]) * per_m
+        wide, high = movers[m, 2] * per_m, movers[m, 3] * per_m
+        round_one = high == F(0)
+        reach = (wide if round_one else high) + F(2)
+        for row in range(max(0, int(y0 - reach)), min(height, int(y0 + reach) + 1)):
+            y = max(abs(F(row) + F(0.5) - y0) - F(0.5), F(0))
+            for column in range(
+                max(0, int(x0 - wide - F(2))), min(width, int(x0 + wide + F(2)) + 1)
+            ):
+                x = max(abs(F(column) + F(0.5) - x0) - F(0.5), F(0))
+                disc, box = x * x + y * y < wide * wide, x < wide and y < high
+                if (round_one and disc) or (not round_one and box):
+                    moving[row * width + column] = mark
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _fade(known, stamp, mark, model, cells, counted):
+    """Lessens the evidence of occupied cells without a stamp of this scan."""
+    fade = model[5]
+    if fade > 0:
+        for cell in range(known.size):
+            if known[cell] > 0 and stamp[cell] < mark:
+                less = -min(fade, np.int64(known[cell]))
+                counted = _add(known, cell, less, model, cells, counted)
+    return counted
+
+
+@njit(error_model="numpy")
+@no_type_check
 def _add(known, cell, added, model, cells, counted):
     """Adds to the evidence of a cell; notes the cell if it becomes occupied or free by that."""
-    _, _, least, most, occupied = model
+    _, _, least, most, occupied, _ = model
     old = np.int64(known[cell])
     before = old >= occupied
     old = 0 if old == UNKNOWN else old

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Annotated, TypedDict
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Int, Int64
 from torch import Tensor
 
 from resc import keys
@@ -13,6 +13,7 @@ from resc.errors import ConfigError
 from resc.keys import NestedKey
 from resc.maps.constants import TRUNCATION_M
 from resc.maps.known_map import UNKNOWN, Beams, Evidence, scan
+from resc.maps.movers import outlines
 from resc.maps.observation import MAP_KEYS
 from resc.math import stream
 from resc.quantities import NotNegative, Positive, Within
@@ -32,6 +33,7 @@ class SensingOptions(TypedDict, total=False):
     least: Tenths
     most: Tenths
     occupied: Tenths
+    fade: Annotated[int, Within(0, 127)]
 
 
 class MapSensing(Sensing):
@@ -52,6 +54,8 @@ class MapSensing(Sensing):
         least: Greatest certainty that a cell is free.
         most: Greatest certainty that it is occupied.
         occupied: From here on a cell counts as occupied.
+        fade: Taken at each scan from the evidence of an occupied cell that it does not see, until
+            none is left: where obstacles move, what was seen long ago is no longer there.
     """
 
     reads = (
@@ -59,6 +63,7 @@ class MapSensing(Sensing):
         keys.POSITION_W,
         keys.ATTITUDE_WB,
         *MAP_KEYS,
+        keys.MOVERS_W,
         keys.KNOWN_EVIDENCE,
         keys.KNOWN_ESDF,
     )
@@ -74,6 +79,7 @@ class MapSensing(Sensing):
         least: Tenths = -20,
         most: Tenths = 22,
         occupied: Tenths = 14,
+        fade: Annotated[int, Within(0, 127)] = 0,
     ) -> None:
         super().__init__()
         if not (hit > 0 > miss and least < 0 < occupied <= most):
@@ -83,11 +89,11 @@ class MapSensing(Sensing):
             )
         self.rate_hz = rate_hz
         self.round_m = round_m
-        self.evidence = Evidence(hit, miss, least, most, occupied)
+        self.evidence = Evidence(hit, miss, least, most, occupied, fade)
 
     def bind(self, context: Context) -> None:
         """Takes the control period and the size of a cell."""
-        self.resolution_m = context.resolution_m
+        self.resolution_m, self.dt_s = context.resolution_m, context.dt_s
         self.per_step = self.rate_hz * context.dt_s
         if self.per_step > 1 + 1e-6:
             raise ConfigError(
@@ -110,8 +116,19 @@ class MapSensing(Sensing):
             index, truth, origin, size = (tensors[key] for key in MAP_KEYS)
             field = (index, truth, origin, size)
             every = torch.ones_like(like[:, :1], dtype=torch.bool)
-            scan(field, beams, every, evidence, esdf, self.evidence, self.resolution_m)
+            moving = self.moving(tensors[keys.CLOCK], index, tensors[keys.MOVERS_W])
+            settings = (self.evidence, self.resolution_m, moving)
+            scan(field, beams, every, evidence, esdf, *settings)
         return {keys.KNOWN_EVIDENCE: evidence, keys.KNOWN_ESDF: esdf}
+
+    def moving(
+        self,
+        clock: Float[Tensor, "n 1"],
+        index: Int[Tensor, "n 1"],
+        movers: Float[Tensor, "p o 10"],
+    ) -> Float[Tensor, "n o 4"] | None:
+        """Where the movers of each row are now; None where scenes have none."""
+        return outlines(movers[index[:, 0]], clock * self.dt_s) if movers.shape[1] else None
 
     def due(self, clock: Float[Tensor, "n 1"]) -> Bool[Tensor, "n 1"]:
         """Whether a scan is due: one is in the first step."""

@@ -102,6 +102,7 @@ WORLD_KEYS = (
     keys.MAP_SIZE,
     keys.BOXES_W,
     keys.PILLARS_W,
+    keys.MOVERS_W,
     keys.START_W,
     keys.START_MOTION,
     keys.ROUTE_W,

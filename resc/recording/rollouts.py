@@ -100,9 +100,11 @@ def record_world(
     scenes: Mapping[keys.NestedKey, torch.Tensor] = {**pool.shared, **pool.tasks}
     rows = entries.to(pool.shared[keys.BOXES_W].device)
     arrays = {key[-1]: value[rows] for key, value in scenes.items() if key != keys.ESDF}
-    clearance = keys.ROUTE_CLEARANCE[-1]
+    clearance, movers = keys.ROUTE_CLEARANCE[-1], keys.MOVERS_W[-1]
     if arrays[clearance].isinf().all():
         del arrays[clearance]
+    if not arrays[movers].shape[1]:
+        del arrays[movers]
     recorder.put_world({"entry": entries, **arrays}, start_step)
 
 

@@ -9,11 +9,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from resc.maps.movers import WIDTH
 from resc.scenes.rasterizing import fill_boxes, fill_pillars
 
 PARKED_M = 1e6
 """Where obstacles that do not exist are put, so that every scene of a batch has as many."""
 NO_BOX, NO_PILLAR = (PARKED_M, PARKED_M, 0.0, 0.0), (PARKED_M, PARKED_M, 0.0)
+NO_MOVER = (PARKED_M, PARKED_M, *(0.0,) * 4, *(PARKED_M,) * 4)
 SLACK_CELLS = 1e-4
 """Keeps an obstacle that ends on the border of a cell out of the next one."""
 _NOT_GIVEN = torch.empty(0)
@@ -24,7 +26,8 @@ class Layout:
     """A batch of scenes.
 
     Boxes are columns over the whole height, `[x, y, len_x, len_y]` from the lower-left corner [m];
-    pillars are round ones, `[x, y, radius]`.
+    pillars are round ones, `[x, y, radius]`. Movers are columns that move (`resc.maps.movers`);
+    hardly a scene has any.
 
     `route_length` 0 means that only the goal is known (`route_w[:, 0]`) and a planner has to fill
     in the route, if there is one at the `clearance` [m] from obstacles; where that is not a number,
@@ -44,14 +47,16 @@ class Layout:
     pillars_w: Float[Tensor, "p m 3"] = _NOT_GIVEN
     start_motion: Float[Tensor, "p 2"] = _NOT_GIVEN
     clearance: Float[Tensor, "p 1"] = _NOT_GIVEN
+    movers_w: Float[Tensor, "p o 10"] = _NOT_GIVEN
 
     def __post_init__(self) -> None:
-        """Fills in what a scene without pillars and wishes of its own leaves out."""
+        """Fills in what a scene without pillars, movers and wishes of its own leaves out."""
         count = len(self)
         usual = {
             "pillars_w": torch.tensor(NO_PILLAR).expand(count, 1, 3),
             "start_motion": torch.full((count, 2), torch.inf),
             "clearance": torch.full((count, 1), torch.nan),
+            "movers_w": torch.empty(count, 0, WIDTH),
         }
         for name, value in usual.items():
             if getattr(self, name) is _NOT_GIVEN:
@@ -108,7 +113,7 @@ def rasterize(
 
 def concatenate(layouts: list[Layout]) -> Layout:
     """One batch out of several, obstacles and routes padded to the longest."""
-    names = ("boxes_w", "pillars_w", "route_w")
+    names = ("boxes_w", "pillars_w", "movers_w", "route_w")
     counts = [max(getattr(layout, name).shape[1] for layout in layouts) for name in names]
     padded = [pad(layout, *counts) for layout in layouts]
     return Layout(
@@ -121,7 +126,7 @@ def rows(layout: Layout, which: Tensor) -> Layout:
     return Layout(**{f.name: getattr(layout, f.name)[which] for f in fields(Layout)})
 
 
-def pad(layout: Layout, boxes: int, pillars: int, points: int) -> Layout:
+def pad(layout: Layout, boxes: int, pillars: int, movers: int, points: int) -> Layout:
     """The same scenes with room for as many obstacles and points, the last point repeated."""
     route = layout.route_w
     extra = route[:, -1:].expand(-1, points - route.shape[1], -1)
@@ -129,6 +134,7 @@ def pad(layout: Layout, boxes: int, pillars: int, points: int) -> Layout:
         layout,
         boxes_w=parked(layout.boxes_w, NO_BOX, boxes),
         pillars_w=parked(layout.pillars_w, NO_PILLAR, pillars),
+        movers_w=parked(layout.movers_w, NO_MOVER, movers),
         route_w=torch.cat((route, extra), 1),
     )
 

@@ -1,6 +1,7 @@
 """Forests of round pillars, by their density."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -41,6 +42,7 @@ class PillarForest(RandomMaps):
         start_m: x, y, z of the start.
         goal_m: x, y, z of the goal.
         jitter_m: Greatest offset of the start along each axis.
+        movers: What moves between the pillars (`resc.scenes.moving.Movers`); null for nothing.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class PillarForest(RandomMaps):
         start_m: Sequence[Number] = (0.0, 0.0, 1.0),
         goal_m: Sequence[Number] = (16.0, 0.0, 1.0),
         jitter_m: NotNegative = 0.0,
+        movers: Any = None,  # noqa: ANN401 - require_movers says what it is
     ) -> None:
         super().__init__(
             origin_m=origin_m,
@@ -63,6 +66,7 @@ class PillarForest(RandomMaps):
             start_m=start_m,
             goal_m=goal_m,
             jitter_m=jitter_m,
+            movers=movers,
         )
         require_ranges(radius_m=radius_m)
         if len(forest_m) != 4 or min(forest_m[2:]) <= 0:

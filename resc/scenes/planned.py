@@ -15,6 +15,7 @@ from resc.quantities import Angle, Count, NotNegative, Positive, Share
 from resc.scenes.family import Obstacles, require_ranges
 from resc.scenes.family_mix import FamilyMix
 from resc.scenes.layout import Layout, Plan, concatenate, rows
+from resc.scenes.moving import Movers, require_movers
 
 CANDIDATES = 12
 """Points drawn on a map, of which the first free ones are its start and goal."""
@@ -43,6 +44,8 @@ class PlannedScenes:
         height_m: Flight height.
         height_spread_m: Start and control points differ by up to this from it.
         tries: How often the map of a scene is drawn before its family is given up.
+        movers: What moves on the maps (`resc.scenes.moving.Movers`); null for nothing. Routes are
+            planned as if it were not there.
     """
 
     def __init__(
@@ -60,8 +63,10 @@ class PlannedScenes:
         height_m: Positive = 1.0,
         height_spread_m: NotNegative = 0.1,
         tries: Count = 100,
+        movers: Any = None,  # noqa: ANN401 - require_movers says what it is
     ) -> None:
         require_ranges(clearance_m=clearance_m)
+        require_movers(movers)
         self.side_m = size_m - 2 * margin_m
         if self.side_m <= apart_m:
             raise ConfigError(
@@ -79,10 +84,12 @@ class PlannedScenes:
         self.height_m = height_m
         self.height_spread_m = height_spread_m
         self.tries = tries
+        self.movers: Movers | None = movers
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """Maps with a start and a goal, but no promise of a route between them."""
-        return self._draw(self.mix.choose(count, generator), generator)
+        layout = self._draw(self.mix.choose(count, generator), generator)
+        return self.movers.on(layout, generator) if self.movers else layout
 
     def sample_routed(self, count: int, generator: torch.Generator, plan: Plan) -> Layout:
         """Lays out `count` episodes along planned routes.
@@ -100,7 +107,8 @@ class PlannedScenes:
             missing = missing[~good]
             if not len(missing):
                 order = torch.cat(found).argsort()
-                return self._episodes(rows(concatenate(layouts), order), generator)
+                layout = self._episodes(rows(concatenate(layouts), order), generator)
+                return self.movers.on(layout, generator) if self.movers else layout
         name = list(self.mix.families)[int(family[missing[0]])]
         raise ConfigError(
             f"scene.families.{name} found no free route in {self.tries} tries: from a start to a "

@@ -22,6 +22,7 @@ LAID_OUT = (
     keys.MAP_SIZE,
     keys.BOXES_W,
     keys.PILLARS_W,
+    keys.MOVERS_W,
     keys.START_W,
     keys.START_MOTION,
     keys.ROUTE_W,
@@ -148,8 +149,8 @@ class ScenePool:
         fits = layout.route_length[:, 0] <= room
         fitting = rows(layout, fits)
         fitting = replace(fitting, route_w=fitting.route_w[:, :room])
-        boxes, pillars = (self.shared[key].shape[1] for key in (keys.BOXES_W, keys.PILLARS_W))
-        self._write(entries[fits], pad(fitting, boxes, pillars, room))
+        kinds = (keys.BOXES_W, keys.PILLARS_W, keys.MOVERS_W)
+        self._write(entries[fits], pad(fitting, *(self.shared[k].shape[1] for k in kinds), room))
         return entries[fits]
 
     def state(self) -> dict[str, Tensor | int]:

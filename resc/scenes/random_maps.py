@@ -10,6 +10,7 @@ from resc.math.sampling import uniform
 from resc.quantities import NotNegative, Number, Positive
 from resc.scenes.family import Obstacles
 from resc.scenes.layout import Layout
+from resc.scenes.moving import Movers, require_movers
 
 
 class RandomMaps(ABC):
@@ -23,6 +24,7 @@ class RandomMaps(ABC):
         start_m: x, y, z of the start.
         goal_m: x, y, z of the goal.
         jitter_m: Greatest offset of the start along each axis.
+        movers: What moves on the maps (`resc.scenes.moving.Movers`); null for nothing.
 
     Raises:
         ConfigError: The start or the goal is outside the map.
@@ -36,7 +38,9 @@ class RandomMaps(ABC):
         start_m: Sequence[Number],
         goal_m: Sequence[Number],
         jitter_m: NotNegative = 0.0,
+        movers: Movers | None = None,
     ) -> None:
+        require_movers(movers)
         lists = {"origin_m": (origin_m, 2), "size_m": (size_m, 2)}
         ends = {"start_m": (start_m, 3), "goal_m": (goal_m, 3)}
         for name, (numbers, count) in (lists | ends).items():
@@ -53,6 +57,7 @@ class RandomMaps(ABC):
         self.start_m = torch.tensor(list(start_m), dtype=torch.float32)
         self.goal_m = torch.tensor(list(goal_m), dtype=torch.float32)
         self.jitter_m = jitter_m
+        self.movers = movers
 
     @property
     def law(self) -> str:
@@ -64,11 +69,11 @@ class RandomMaps(ABC):
         """Obstacles of `count` maps."""
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
-        """Lays out `count` maps, a start and the goal on each."""
+        """Lays out `count` maps, a start and the goal on each, and what moves between them."""
         boxes, pillars = self.obstacles(count, generator)
         offset = torch.zeros(count, 3)
         offset[:, :2] = uniform((count, 2), -self.jitter_m, self.jitter_m, generator)
-        return Layout(
+        layout = Layout(
             boxes_w=boxes,
             pillars_w=pillars,
             origin_w=self.origin_m.expand(count, -1),
@@ -77,3 +82,4 @@ class RandomMaps(ABC):
             route_w=self.goal_m.expand(count, 1, -1),
             route_length=torch.zeros(count, 1, dtype=torch.int64),
         )
+        return self.movers.on(layout, generator) if self.movers else layout

@@ -86,9 +86,10 @@ def test_collision_is_flagged_exactly_where_the_cells_distance_is_below_the_radi
     position += torch.tensor([-5.0, 2.0, 0.0])
     index = torch.from_numpy(random.integers(0, 5, (count, 1)))
 
+    still = torch.zeros(count, 1), torch.empty(5, 0, 10)  # nothing moves
     sensor = Clearance()
     sensor.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
-    clearance = sensor.compute(position, index, esdf, origin, size)
+    clearance = sensor.compute(position, index, esdf, origin, size, *still)
     flags = Collision(radius_m=0.3).compute(clearance)
 
     offset = (position[:, :2].numpy() - np.float32([-5.0, 2.0])) * np.float32(10)

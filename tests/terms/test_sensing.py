@@ -33,7 +33,19 @@ def place(x0, x1, y0, y1):
     return torch.zeros(1, 1, dtype=torch.int64), truth, corner, size
 
 
-def looked(term, field, *, euler=(0.0, 0.0, 0.0), height=1.0, step=0.0, unit=(0.3, 0.6)):
+NOTHING_MOVES = torch.empty(1, 0, 10)
+
+
+def looked(
+    term,
+    field,
+    *,
+    euler=(0.0, 0.0, 0.0),
+    height=1.0,
+    step=0.0,
+    unit=(0.3, 0.6),
+    movers=NOTHING_MOVES,
+):
     """Evidence after one look from the middle."""
     term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
     evidence = torch.full((1, 120, 120), UNKNOWN, dtype=torch.int8)
@@ -44,6 +56,7 @@ def looked(term, field, *, euler=(0.0, 0.0, 0.0), height=1.0, step=0.0, unit=(0.
         torch.tensor([[0.01, 0.01, height]]),
         quaternion_from_euler(torch.tensor([euler])),
         *field,
+        movers,
         evidence,
         esdf,
         *(noisy if term.step_draws else []),

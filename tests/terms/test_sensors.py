@@ -11,6 +11,10 @@ from resc.terms.sensors.limit_violations import LimitViolations
 from resc.terms.sensors.surface_clearance import SurfaceClearance
 
 
+STILL = torch.zeros(3, 1), torch.empty(2, 0, 10)
+"""The clock, and the movers of maps on which nothing moves."""
+
+
 def row(*values):
     return torch.tensor([values])
 
@@ -52,7 +56,8 @@ def test_surface_clearance_is_exact_signed_and_from_the_own_map():
     )
     none = torch.tensor([1e6, 1e6, 0.0]).expand(2, 1, 3)
     position = torch.tensor([[0.0, 0.5, 1.0], [0.5, 1.0, 1.0], [5.0, 6.0, 0.0]])
-    clearance = SurfaceClearance().compute(position, torch.tensor([[0], [1], [1]]), boxes, none)
+    entry = torch.tensor([[0], [1], [1]])
+    clearance = SurfaceClearance().compute(position, entry, boxes, none, *STILL)
     assert_close(clearance, torch.tensor([[1.0], [-0.5], [math.hypot(3, 4)]]))
 
 
@@ -63,5 +68,5 @@ def test_surface_clearance_of_a_pillar_is_that_of_a_circle_not_of_its_cells():
     )
     position = torch.tensor([[0.0, 0.0, 1.0], [1.0, 1.2, 0.0], [1.0, 1.0, 0.0]])
     entry = torch.tensor([[0], [1], [1]])
-    clearance = SurfaceClearance().compute(position, entry, boxes, pillars)
+    clearance = SurfaceClearance().compute(position, entry, boxes, pillars, *STILL)
     assert_close(clearance, torch.tensor([[4.75], [-0.3], [-0.5]]))

@@ -78,6 +78,7 @@ class Depth(NoisySensing):
         truth: Float[Tensor, "p h w"],
         origin: Float[Tensor, "p 2"],
         size: Float[Tensor, "p 2"],
+        movers: Float[Tensor, "p o 10"],
         evidence: Int8[Tensor, "n h w"],
         esdf: Float[Tensor, "n h w"],
         place: Int64[Tensor, "n 1"],
@@ -92,8 +93,8 @@ class Depth(NoisySensing):
         length = torch.where(lost, 0.0, length)
         beams = Beams(position[:, :2], direction, length, torch.zeros_like(length), growth)
         field = (index, truth, origin, size)
-        due = self.due(clock)
-        scan(field, beams, due, evidence, esdf, self.evidence, self.resolution_m)
+        due, moving = self.due(clock), self.moving(clock, index, movers)
+        scan(field, beams, due, evidence, esdf, self.evidence, self.resolution_m, moving)
         return evidence, esdf, place
 
     def _length(

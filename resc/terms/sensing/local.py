@@ -39,12 +39,12 @@ class Local(MapSensing):
         truth: Float[Tensor, "p h w"],
         origin: Float[Tensor, "p 2"],
         size: Float[Tensor, "p 2"],
+        movers: Float[Tensor, "p o 10"],
         evidence: Int8[Tensor, "n h w"],
         esdf: Float[Tensor, "n h w"],
     ) -> tuple[Tensor, Tensor]:
         del attitude
         field = (index, truth, origin, size)
         here, due = position[:, :2], self.due(clock)
-        return reveal(
-            field, here, self.radius_m, due, evidence, esdf, self.evidence, self.resolution_m
-        )
+        settings = (self.evidence, self.resolution_m, self.moving(clock, index, movers))
+        return reveal(field, here, self.radius_m, due, evidence, esdf, *settings)
