@@ -28,7 +28,8 @@ def tabulate_episodes(flights: Flights, pool: ScenePool) -> Episodes:
     """One entry per episode under every column; episode i flies in scene i of the pool.
 
     `obstacles` counts boxes, pillars and movers, `density` is the share of the ground near the
-    route that is occupied by what stands still, `time_s` lasts from the start to the end of the episode, whatever ended it.
+    route that is occupied by what stands still, `time_s` lasts from the start to the end of the
+    episode, whatever ended it.
     """
     layout = pool.layout
     lengths = (layout.boxes_w[..., 2], layout.pillars_w[..., 2], layout.movers_w[..., 4])

@@ -136,8 +136,9 @@ def policy_folder(text: str, setting: str) -> Path:
 def load_weights(folder: Path, networks: nn.ModuleDict, stages: Stages) -> list[str]:
     """Puts the weights of a stored policy, normalisation included, into an algorithm's networks.
 
-    Loads its other networks, too, where the stored ones are the same. Returns the names of the
-    networks that keep their initial weights.
+    Loads its other networks, too, where the stored ones are the same. What the policy did not
+    observe has weights of zero at first, so it flies as it did. Returns the names of the networks
+    that keep their initial weights, and of the observations that are new or longer.
 
     Raises:
         CheckpointError: A file is missing, cut short or foreign, or it is of another observation
@@ -146,14 +147,16 @@ def load_weights(folder: Path, networks: nn.ModuleDict, stages: Stages) -> list[
     if not (folder / POLICY).exists():
         raise CheckpointError(f"{folder} holds no {POLICY}; {_where_else(folder)}.")
     content = _in_todays_form(read(folder / POLICY, ("head", "layout")))
-    require_same_layout([(str(name), int(width)) for name, width in content["layout"]], stages)
+    trained = [(str(name), int(width)) for name, width in content["layout"]]
+    columns = _columns(trained, stages)
     config = load_config(folder / CONFIG)
     frame = (config.get("env") or {}).get("observation_frame", "world")
-    _require_same_input(folder, frame, config.get("observation") or {}, stages)
-    afresh = []
+    _require_same_input(folder, frame, config.get("observation") or {}, stages, dict(trained))
+    afresh = [f"observation.{name}" for name, _ in {*layout_of(stages)} - {*trained}]
     for name, network in networks.items():
         try:
-            network.load_state_dict(_part(content["networks"], name))
+            stored, own = _part(content["networks"], name), network.state_dict()
+            network.load_state_dict(_widened(stored, own, columns))
         except RuntimeError:
             if name != "policy":
                 afresh.append(name)
@@ -164,6 +167,39 @@ def load_weights(folder: Path, networks: nn.ModuleDict, stages: Stages) -> list[
                 f"{(config.get('algorithm') or {}).get('_target_')}."
             ) from None
     return afresh
+
+
+def _columns(trained: Layout | list[tuple[str, int]], stages: Stages) -> list[int]:
+    """Where the numbers that a policy was trained on stand among those of today.
+
+    Steps of the past follow the newest, so a block with a longer one begins like a shorter one.
+
+    Raises:
+        CheckpointError: They are not all there.
+    """
+    first, begin = 0, {}
+    for name, width in layout_of(stages):
+        begin[name] = first, width
+        first += width
+    if any(begin.get(name, (0, 0))[1] < width for name, width in trained):
+        require_same_layout(trained, stages)
+    return [begin[name][0] + column for name, width in trained for column in range(width)]
+
+
+def _widened(
+    stored: Mapping[str, Tensor], own: Mapping[str, Tensor], columns: Sequence[int]
+) -> dict[str, Tensor]:
+    """Stored weights with zeros for what is observed in addition, where only that is missing."""
+    found = dict(stored)
+    for name, value in own.items():
+        old = found.get(name)
+        if old is None or old.shape == value.shape or not value.dim():
+            continue
+        if old.shape[:-1] == value.shape[:-1] and old.shape[-1:] == (len(columns),):
+            wide = torch.zeros_like(value) if value.dim() > 1 else value.clone()
+            wide[..., list(columns)] = old.to(wide)
+            found[name] = wide
+    return found
 
 
 def _part(weights: Mapping[str, Tensor], name: str) -> dict[str, Tensor]:
@@ -191,13 +227,17 @@ def _in_todays_form(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _require_same_input(
-    folder: Path, frame: str, observation: Mapping[str, Any], stages: Stages
+    folder: Path,
+    frame: str,
+    observation: Mapping[str, Any],
+    stages: Stages,
+    trained: Mapping[str, int],
 ) -> None:
     """The frame and the scales that the weights were trained with, as far as they are stored."""
     facts: dict[str, tuple[Any, Any]] = {
         "env.observation_frame": (frame, stages.context.observation_frame)
     }
-    for term in stages.terms.observations:
+    for term in (term for term in stages.terms.observations if term.name in trained):
         scale = (observation.get(term.name) or {}).get("scale", 1.0)
         facts[f"observation.{term.name}.scale"] = (scale, term.scale)
     for name, (trained, given) in facts.items():
