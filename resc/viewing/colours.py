@@ -7,6 +7,7 @@ from matplotlib.colors import LinearSegmentedColormap, ListedColormap
 OBSTACLE, PLAN, FRAME, TEXT = "#39424e", "#20262e", "#8a94a3", "#3a434f"
 COLLISION, LOST = "#d7263d", "#b35c00"
 BOUND = "#0a8f7c"
+MOVER = "#6a4c93"
 TRUE, MEASURED, ESTIMATED, SMOOTHED = "#d7263d", "#0a8f7c", "#1f6fb2", "#b35c00"
 """Tracks of a flight: flown, read by motion capture, estimated in flight, smoothed afterwards."""
 DASHES = (0, (4, 2.5))

@@ -29,6 +29,7 @@ from resc.scenes.pool import layout_from
 from resc.sights import Shape
 from resc.simulation.vehicle import Vehicle
 from resc.term import Action, Context, Observation, Term
+from resc.viewing.moving import movers_of, places_of
 from resc.viewing.sight import seen_by
 
 CONFIG = "config.yaml"
@@ -43,13 +44,14 @@ class Place:
     """The scene of an episode: columns, map and route, world frame [m].
 
     `boxes` are columns over the whole height: x and y of the corner, lengths; `pillars` are round
-    ones: x and y of the axis, radius. `route` is all
-    control points; one is passed within `radius`, and `half_height` unless that is None: then the
-    radius is a sphere's.
+    ones: x and y of the axis, radius; `movers` are those that move (`resc.maps.movers`). `route` is
+    all control points; one is passed within `radius`, and `half_height` unless that is None: then
+    the radius is a sphere's.
     """
 
     boxes: Float[Tensor, "k 4"]
     pillars: Float[Tensor, "m 3"]
+    movers: Float[Tensor, "o 10"]
     origin: Float[Tensor, " 2"]
     size: Float[Tensor, " 2"]
     resolution: float
@@ -94,6 +96,11 @@ class EpisodeScene:
     def path(self, key: keys.NestedKey) -> Float[Tensor, "t 3"] | None:
         """Positions read or estimated before each step; None where none are recorded."""
         return cast("Tensor | None", self.steps.get(key, None))
+
+    @property
+    def mover_places(self) -> Float[Tensor, "t o 2"]:
+        """Where the centres of movers are before each step [m]."""
+        return places_of(self.place.movers, len(self), self.dt_s)
 
     @property
     def success(self) -> bool:
@@ -186,6 +193,7 @@ def _place(arrays: Mapping[str, Tensor], resolution: float, task: Term) -> Place
     return Place(
         boxes=boxes[boxes[..., 0] < PARKED_M],
         pillars=pillars[pillars[..., 0] < PARKED_M],
+        movers=movers_of(arrays),
         origin=layout.origin_w[0],
         size=extent_of(size, resolution),
         resolution=resolution,
@@ -259,6 +267,8 @@ def _sights(
         keys.ESDF: place.esdf[None],
         keys.MAP_ORIGIN_W: place.origin[None],
         keys.MAP_SIZE: place.size[None],
+        keys.MOVERS_W: place.movers[None],
+        keys.CLOCK: torch.arange(count, dtype=torch.float32).unsqueeze(-1),
     }
     found = {
         term.name: seen_by(term, context, tensors, lambda width: torch.full((count, width), 0.5))

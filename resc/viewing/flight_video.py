@@ -28,6 +28,7 @@ from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
 from resc.viewing.colours import BACKGROUND, COLLISION, FRAME, PLAN, TEXT
 from resc.viewing.known_picture import RENEWED, draw_known
+from resc.viewing.moving import draw_movers, movers_of, places_of
 from resc.viewing.plot import draw_obstacles
 
 FRAMES_HZ = 12.5
@@ -62,6 +63,8 @@ class _Flight:
         task = (config.get("task") or {}).get("control_points") or {}
         self.radius_m = float(task.get("radius_m", REACHED_M))
         self.view = _view(config.get("sensing") or {})
+        self.movers = movers_of(self.scene)
+        self.places = places_of(self.movers, len(self.position), self.dt_s)
         self.outcome = str(log.episodes.row(episode, named=True)["outcome"])
 
     def _planned(self) -> Route:
@@ -161,6 +164,7 @@ def _draw_frame(axes: Axes, flight: _Flight, step: int) -> list[Artist]:
     if known is not None:
         corner = flight.scene["origin_w"].tolist()
         drawn += draw_known(axes, known.cells, corner, flight.cell_m)
+    drawn += draw_movers(axes, flight.movers, flight.places[step])
     x, y = flight.position[step, :2].tolist()
     here, yaw = (x, y), float(flight.yaw[step])
     number, _ = flight.route(step)

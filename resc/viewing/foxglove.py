@@ -44,7 +44,7 @@ from resc.viewing.appearance import (
     shades,
     top_of_obstacles,
 )
-from resc.viewing.colours import MEASURED
+from resc.viewing.colours import MEASURED, MOVER
 from resc.viewing.episode_scene import CONFIG, EpisodeScene, load_scene
 from resc.viewing.foxglove_messages import (
     LINE_KINDS,
@@ -85,6 +85,8 @@ ESTIMATES = {
     "/drone/estimate": (keys.ESTIMATED_POSITION_W, PosesInFrame),
 }
 """Topics of recordings that hold such a column, and their message type."""
+MOVERS = {"/world/movers": SceneUpdate, "/world/mover_points": PointCloud}
+"""Topics of flights among obstacles that move."""
 KNOWN, ROUTE = "/map/known", "/plan/route"
 """Topics of flights whose map was seen, and whose routes were renewed."""
 KNOWN_M = 0.02
@@ -170,6 +172,7 @@ def _channels(writer: Writer, scene: EpisodeScene, numbers: dict[str, Numbers]) 
 def _tracks(scene: EpisodeScene) -> dict[str, Any]:
     """Message type of each track beside the true one, of those that are recorded."""
     found = {topic: kind for topic, (key, kind) in ESTIMATES.items() if scene.path(key) is not None}
+    found |= MOVERS if len(scene.place.movers) else {}
     found |= {KNOWN: Grid} if scene.known else {}
     return found | ({ROUTE: PosesInFrame} if scene.routes else {})
 
@@ -191,7 +194,8 @@ def _messages(scene: EpisodeScene, numbers: dict[str, Numbers]) -> Iterator[Mess
     for topic, values in numbers.items():
         for time_ns, data in zip(times[:-1], encode_scalars(values), strict=True):
             yield Message(time_ns, topic, data)
-    for time_ns, topic, message in (*_learnt(scene, times), *_moving(scene, times)):
+    moving = (*_learnt(scene, times), *_moving(scene, times), *_movers(scene, times))
+    for time_ns, topic, message in moving:
         yield Message(time_ns, topic, message.encode())
     positions = scene.column(keys.POSITION_W).numpy()
     for name, seen in scene.sights.items():
@@ -301,6 +305,32 @@ def _moving(scene: EpisodeScene, times: list[int]) -> Iterator[tuple[int, str, _
         if step == 0 or passed[step] > passed[step - 1]:
             yield now, "/plan/columns", _columns(scene, passed[step], now)
             yield now, "/plan/control_points", _control_points(scene, passed[step], now)
+
+
+def _movers(scene: EpisodeScene, times: list[int]) -> Iterator[tuple[int, str, _Encodes]]:
+    """The obstacles that move, step by step."""
+    place, top = scene.place, top_of_obstacles(scene)
+    if not len(place.movers):
+        return
+    halves, tint = place.movers[:, 4:6].tolist(), paint(MOVER)
+    shapes = [
+        obstacle_surface([-x, -y, 2 * x, 2 * y], top) if y else pillar_surface([0.0, 0.0, x], top)
+        for x, y in halves
+    ]
+    colour = np.array(rgba(MOVER), np.uint8)
+    for now, centres in zip(times[:-1], scene.mover_places.tolist(), strict=True):
+        boxes, rounds = [], []
+        for (x, y), (half_x, half_y) in zip(centres, halves, strict=True):
+            middle = (x, y, top / 2)
+            if half_y:
+                boxes.append(cube(middle, (2 * half_x, 2 * half_y, top), tint))
+            else:
+                rounds.append(cylinder(middle, half_x, top, tint))
+        yield now, "/world/movers", entity("movers", time_ns=now, cubes=boxes, cylinders=rounds)
+        offsets = np.pad(np.array(centres), ((0, 0), (0, 1)))
+        there = [shape + offset for shape, offset in zip(shapes, offsets, strict=True)]
+        cloud = point_cloud(np.concatenate(there), colour, time_ns=now, frame=WORLD)
+        yield now, "/world/mover_points", cloud
 
 
 def _body(arms: Float[np.ndarray, "4 3"]) -> SceneUpdate:

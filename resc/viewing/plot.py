@@ -41,6 +41,7 @@ from resc.viewing.estimate_picture import (
     is_estimated,
 )
 from resc.viewing.known_picture import draw_known, draw_routes, legend_entries
+from resc.viewing.moving import draw_movers, draw_trails, movers_of, places_of
 
 _COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 """Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""
@@ -125,7 +126,11 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
         above, below = (6, 8) if estimated else (7, 7)
         axes = figure.add_subplot(grid[:above, 0])
         routes, maps = log.routes(episode), log.known_maps(episode)
-        _draw_map(figure, axes, scene, steps, inflation, routes, bool(maps))
+        movers = movers_of(scene)
+        places = places_of(movers, len(steps), log.dt_s)
+        draw_movers(axes, movers, places[-1])
+        moving = draw_trails(axes, places)
+        _draw_map(figure, axes, scene, steps, inflation, routes, bool(maps), moving)
         if maps:
             (cell_m,) = numbers_at(log.config, "env.resolution_m", 1)
             draw_known(axes, maps[-1].cells, scene["origin_w"].tolist(), cell_m)
@@ -181,6 +186,7 @@ def _draw_map(
     inflation: float,
     routes: Sequence[Route],
     known: bool,
+    moving: Sequence[Patch],
 ) -> None:
     position = _tensor(steps, keys.POSITION_W)[:, :2].numpy()
     speed = _tensor(steps, keys.VELOCITY_W).norm(dim=-1).numpy()
@@ -204,7 +210,7 @@ def _draw_map(
     axes.add_collection(lines)
     draw_tracks(axes, steps)
     told = legend_entries(routes, known)
-    named = [*around, *axes.get_legend_handles_labels()[0], *told]
+    named = [*around, *moving, *axes.get_legend_handles_labels()[0], *told]
     if named:
         axes.legend(handles=named, loc="upper left", fontsize="small", framealpha=0.8)
     mark = {"edgecolors": "white", "linewidths": 0.8, "zorder": 6}

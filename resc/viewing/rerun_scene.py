@@ -28,7 +28,7 @@ from resc.viewing.appearance import (
     shades,
     top_of_obstacles,
 )
-from resc.viewing.colours import ESTIMATED, MEASURED
+from resc.viewing.colours import ESTIMATED, MEASURED, MOVER
 from resc.viewing.episode_scene import EpisodeScene, load_scene
 from resc.viewing.scalars import Numbers
 from resc.viewing.sight import colour_of
@@ -81,6 +81,7 @@ def _send(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     _send_place(stream, scene)
     times = _seconds(scene, range(len(scene)))
     _send_vehicle(stream, scene, times)
+    _send_movers(stream, scene, times)
     _send_route(stream, scene)
     _send_estimate(stream, scene)
     for name, seen in scene.sights.items():
@@ -126,6 +127,30 @@ def _send_place(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     plan = np.concatenate((place.start.numpy()[None], place.route.numpy()))
     path = rr.LineStrips3D([plan], colors=[rgba(NEXT)], radii=[LINE_M])
     stream.log("/plan/path", path, static=True)
+
+
+def _send_movers(stream: rr.RecordingStream, scene: EpisodeScene, times: rr.TimeColumn) -> None:
+    """The obstacles that move."""
+    top, steps = top_of_obstacles(scene), len(scene)
+    movers, places = scene.place.movers.numpy(), scene.mover_places.numpy()
+    middle = np.pad(places, ((0, 0), (0, 0), (0, 1)), constant_values=top / 2)
+    discs = movers[:, 5] == 0
+    style = {"colors": [rgba(MOVER)], "fill_mode": "solid"}
+    if discs.any():
+        radii = movers[discs, 4]
+        shape = rr.Cylinders3D.from_fields(lengths=np.full(len(radii), top), radii=radii, **style)
+        stream.log("/world/moving_pillars", shape, static=True)
+        centres = rr.Cylinders3D.columns(centers=middle[:, discs].reshape(-1, 3))
+        counts = [len(radii)] * steps
+        stream.send_columns("/world/moving_pillars", [times], centres.partition(counts))
+    if not discs.all():
+        halves = np.pad(movers[~discs, 4:6], ((0, 0), (0, 1)), constant_values=top / 2)
+        stream.log(
+            "/world/moving_boxes", rr.Boxes3D.from_fields(half_sizes=halves, **style), static=True
+        )
+        centres = rr.Boxes3D.columns(centers=middle[:, ~discs].reshape(-1, 3))
+        counts = [len(halves)] * steps
+        stream.send_columns("/world/moving_boxes", [times], centres.partition(counts))
 
 
 def _send_estimate(stream: rr.RecordingStream, scene: EpisodeScene) -> None:

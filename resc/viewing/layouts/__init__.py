@@ -77,6 +77,8 @@ def topics(observations: Sequence[str], tracks: Sequence[str] = ()) -> dict[str,
     beside = {
         "/drone/measured": {**points, "pointSize": 4.0},
         "/drone/estimate": {**line, "lineWidth": 0.015, "gradient": list(ESTIMATE)},
+        "/world/movers": {"visible": True},
+        "/world/mover_points": {"visible": False},
         "/map/known": {"visible": True, "colorMode": "rgba-fields"},
         "/plan/route": {**line, "lineWidth": 0.03, "gradient": list(ROUTE)},
     }
