@@ -192,10 +192,15 @@ def _on_routes(
     return begin + part.unsqueeze(-1) * run, torch.atan2(run[..., 1], run[..., 0])
 
 
-def require_movers(movers: object) -> None:
-    """Raises ConfigError for what are no movers."""
+def movers_of(movers: object) -> Movers | None:
+    """What a setting says that moves.
+
+    Raises:
+        ConfigError: It is neither nothing nor `Movers`.
+    """
     if not isinstance(movers, Movers | None):
         raise ConfigError(
             f"movers is {movers!r}; expected null, or a node such as "
             "{_target_: resc.scenes.moving.Movers, count: [10, 10]}."
         )
+    return movers

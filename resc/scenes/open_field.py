@@ -1,7 +1,6 @@
 """A field on which nothing stands still."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 
@@ -26,7 +25,7 @@ class OpenField(RandomMaps):
     def __init__(
         self,
         *,
-        movers: Any = None,  # noqa: ANN401 - require_movers says what it is
+        movers: object = None,
         origin_m: Sequence[Number] = (0.0, 0.0),
         size_m: Sequence[Positive] = (12.0, 12.0),
         start_m: Sequence[Number] = (1.0, 6.0, 1.0),

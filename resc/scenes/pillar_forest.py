@@ -1,7 +1,6 @@
 """Forests of round pillars, by their density."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -58,7 +57,7 @@ class PillarForest(RandomMaps):
         start_m: Sequence[Number] = (0.0, 0.0, 1.0),
         goal_m: Sequence[Number] = (16.0, 0.0, 1.0),
         jitter_m: NotNegative = 0.0,
-        movers: Any = None,  # noqa: ANN401 - require_movers says what it is
+        movers: object = None,
     ) -> None:
         super().__init__(
             origin_m=origin_m,

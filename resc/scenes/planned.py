@@ -15,7 +15,7 @@ from resc.quantities import Angle, Count, NotNegative, Positive, Share
 from resc.scenes.family import Obstacles, require_ranges
 from resc.scenes.family_mix import FamilyMix
 from resc.scenes.layout import Layout, Plan, concatenate, rows
-from resc.scenes.moving import Movers, require_movers
+from resc.scenes.moving import movers_of
 
 CANDIDATES = 12
 """Points drawn on a map, of which the first free ones are its start and goal."""
@@ -63,10 +63,9 @@ class PlannedScenes:
         height_m: Positive = 1.0,
         height_spread_m: NotNegative = 0.1,
         tries: Count = 100,
-        movers: Any = None,  # noqa: ANN401 - require_movers says what it is
+        movers: object = None,
     ) -> None:
         require_ranges(clearance_m=clearance_m)
-        require_movers(movers)
         self.side_m = size_m - 2 * margin_m
         if self.side_m <= apart_m:
             raise ConfigError(
@@ -84,7 +83,7 @@ class PlannedScenes:
         self.height_m = height_m
         self.height_spread_m = height_spread_m
         self.tries = tries
-        self.movers: Movers | None = movers
+        self.movers = movers_of(movers)
 
     def sample(self, count: int, generator: torch.Generator) -> Layout:
         """Maps with a start and a goal, but no promise of a route between them."""

@@ -10,7 +10,7 @@ from resc.math.sampling import uniform
 from resc.quantities import NotNegative, Number, Positive
 from resc.scenes.family import Obstacles
 from resc.scenes.layout import Layout
-from resc.scenes.moving import Movers, require_movers
+from resc.scenes.moving import movers_of
 
 
 class RandomMaps(ABC):
@@ -38,9 +38,8 @@ class RandomMaps(ABC):
         start_m: Sequence[Number],
         goal_m: Sequence[Number],
         jitter_m: NotNegative = 0.0,
-        movers: Movers | None = None,
+        movers: object = None,
     ) -> None:
-        require_movers(movers)
         lists = {"origin_m": (origin_m, 2), "size_m": (size_m, 2)}
         ends = {"start_m": (start_m, 3), "goal_m": (goal_m, 3)}
         for name, (numbers, count) in (lists | ends).items():
@@ -57,7 +56,7 @@ class RandomMaps(ABC):
         self.start_m = torch.tensor(list(start_m), dtype=torch.float32)
         self.goal_m = torch.tensor(list(goal_m), dtype=torch.float32)
         self.jitter_m = jitter_m
-        self.movers = movers
+        self.movers = movers_of(movers)
 
     @property
     def law(self) -> str:

@@ -24,7 +24,6 @@ from resc.scenes.pool import layout_from
 from resc.setup import among, build_stages
 
 RUN = (
-    "scene=training",
     "num_envs=8",
     "pool_size=16",
     "renew_scenes=2",
@@ -46,16 +45,27 @@ EVERYTHING = (
     "observation.velocity.noise=0.1",
 )
 SEEN = ("sensing=depth", "replanning=in_flight")
+MOVING = (
+    "scene=dynamic_training",
+    "scene.families.forest.pillars=0",
+    "sensing=lidar2d",
+    "sensing.fade=2",
+    "replanning=in_flight",
+    "observation=[velocity,attitude,body_rate,control_points,nearest_movers]",
+)
 PX4 = ("rate_loop=px4", "vehicle=iris_px4", "dynamics=gazebo")
 
 
 @pytest.fixture(
-    scope="module", params=[(), EVERYTHING, PX4, SEEN], ids=["default", "everything", "px4", "seen"]
+    scope="module",
+    params=[(), EVERYTHING, PX4, SEEN, MOVING],
+    ids=["default", "everything", "px4", "seen", "moving"],
 )
 def recording(request, compose, tmp_path_factory):
     """The folder of a short training run's recording."""
     folder = tmp_path_factory.mktemp("run")
-    config = compose(*RUN, *request.param)
+    scene = () if request.param is MOVING else ("scene=training",)
+    config = compose(*RUN, *scene, *request.param)
     trainer = TrainingRun(config).trainer()
     with TrainingRun(config).recorded.open(
         trainer.env.stages,

@@ -74,6 +74,26 @@ def test_another_observation_is_refused_by_its_block(compose, trained):
         begun(compose, trained[1], "obstacle_observation=raw_sdf")
 
 
+NEW = "observation=[velocity,attitude,body_rate,heights,control_points,body_x,planar_distances,{}]"
+
+
+def test_what_is_observed_in_addition_counts_for_nothing_at_first(compose, trained, capsys):
+    before, folder = trained
+    more = (NEW.format("nearest_movers"), "observation.velocity.history=2")
+    after, _ = begun(compose, folder, *more)
+    told = capsys.readouterr().out
+    assert "observation.nearest_movers" in told
+    assert "observation.velocity" in told
+    names = after.env.stages.observation_columns
+    old = before.env.stages.observation_columns
+    seen = torch.rand(5, len(names), generator=torch.Generator().manual_seed(0))
+    where = torch.tensor([names.index(name) for name in old])
+    expected = before.policy.decide(seen[:, where])[0]
+    torch.testing.assert_close(after.policy.decide(seen)[0], expected)
+    value, own = (t.algorithm.networks["value"] for t in (after, before))
+    torch.testing.assert_close(value(seen), own(seen[:, where]))
+
+
 def test_another_frame_is_refused_with_the_setting_to_give(compose, trained):
     with pytest.raises(CheckpointError, match=r"trained with env\.observation_frame=heading, but"):
         begun(compose, trained[1], "env.observation_frame=world")

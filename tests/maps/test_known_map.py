@@ -14,6 +14,7 @@ from resc.maps.known_map import (
     scan,
     scan_in_torch,
 )
+from resc.maps.movers import covered
 
 RELEASED = Evidence(hit=6, miss=-6, least=-20, most=22, occupied=14)
 QUICK = Evidence(hit=22, miss=-11, least=-20, most=22, occupied=14)
@@ -83,6 +84,56 @@ def test_what_is_revealed_agrees_with_torch_and_with_the_truth(field):
     assert torch.equal(known[1], distance_transform(there, CELL_M, TRUNCATION_M))
     index, truth, *_ = field
     assert torch.equal(there[seen], (truth[index[:, 0]] <= 0)[seen])
+
+
+FADING = RELEASED._replace(hit=16, fade=3)
+
+
+def random_movers(generator):
+    """Boxes and round ones, some of them beyond the map or smaller than a cell."""
+    outline = torch.rand(COUNT, 6, 4, generator=generator) * torch.tensor([12.0, 10.0, 0.6, 0.6])
+    outline[:, :, :2] -= 5.5
+    outline[:, ::2, 3] = 0
+    outline[:, 5] = torch.tensor([1e6, 1e6, 0.0, 0.0])
+    return outline
+
+
+@pytest.mark.parametrize("way", ["scan", "reveal"])
+def test_with_movers_and_fading_both_renderings_agree(field, way):
+    generator = torch.Generator().manual_seed(4)
+    known, plainly = unknown(), unknown()
+    faded = False
+    for _ in range(8):
+        here = torch.rand(COUNT, 2, generator=generator) * 7 - 4
+        due = torch.rand(COUNT, 1, generator=generator) < 0.7
+        movers = random_movers(generator)
+        before = known[0].clone()
+        if way == "scan":
+            beams = random_beams(generator, here)
+            scan(field, beams, due, *known, FADING, CELL_M, movers)
+            scan_in_torch(field, beams, due, *plainly, list(FADING), CELL_M, movers)
+        else:
+            reveal(field, here, 2.5, due, *known, FADING, CELL_M, movers)
+            reveal_in_torch(field, here, 2.5, due, *plainly, list(FADING), CELL_M, movers)
+        assert torch.equal(known[0], plainly[0])
+        assert torch.equal(known[1], plainly[1])
+        faded = faded or bool((before - known[0] == 3).any())
+        there = known[0] >= FADING.occupied
+        assert torch.equal(known[1], distance_transform(there, CELL_M, TRUNCATION_M))
+        assert torch.equal(known[0][~due[:, 0]], before[~due[:, 0]])
+    assert faded
+
+
+def test_what_is_revealed_shows_movers_where_they_are(field):
+    known, everywhere = unknown(), torch.ones(COUNT, 1, dtype=torch.bool)
+    movers = random_movers(torch.Generator().manual_seed(5))
+    reveal(field, torch.zeros(COUNT, 2), 2.5, everywhere, *known, RELEASED, CELL_M, movers)
+    index, truth, corner, _ = field
+    moving = covered(movers, corner[index[:, 0]], (HEIGHT, WIDTH), CELL_M)
+    seen = known[0] != UNKNOWN
+    solid = (truth[index[:, 0]] <= 0) | moving
+    assert torch.equal((known[0] >= RELEASED.occupied)[seen], solid[seen])
+    assert (moving & ~(truth[index[:, 0]] <= 0) & seen).sum() > 100
 
 
 def test_rows_that_are_not_due_stay_as_they_are(field):

@@ -45,10 +45,12 @@ def looked(
     step=0.0,
     unit=(0.3, 0.6),
     movers=NOTHING_MOVES,
+    evidence=None,
 ):
     """Evidence after one look from the middle."""
     term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
-    evidence = torch.full((1, 120, 120), UNKNOWN, dtype=torch.int8)
+    if evidence is None:
+        evidence = torch.full((1, 120, 120), UNKNOWN, dtype=torch.int8)
     esdf = torch.full((1, 120, 120), TRUNCATION_M)
     noisy = [torch.zeros(1, 1, dtype=torch.int64), torch.tensor([unit])]
     term.compute(
@@ -142,6 +144,37 @@ def test_errors_grow_with_the_square_of_the_depth():
     assert 3.0 < spread[1] / spread[0] < 5.0
 
 
+def test_what_moves_is_seen_where_it_is_and_forgotten_where_it_was():
+    free = torch.zeros(1, 1, dtype=torch.int64), torch.full((1, 120, 120), TRUNCATION_M)
+    field = (*free, torch.tensor([[-6.0, -6.0]]), torch.tensor([[12.0, 12.0]]))
+    # 0.5 m wide, from (2, 0) to the left at 1 m/s: it goes behind itself, as seen from the middle
+    mover = torch.tensor([[[2.0, 0.0, 0.0, 1.0, 0.25, 0.25, 2.0, 0.0, 2.0, 0.0]]])
+    term = Lidar2d(**CLEAR, noise_m=0.0, **SURE)
+    evidence = torch.full((1, 120, 120), UNKNOWN, dtype=torch.int8)
+    first, _, later = (  # one miss is less than a hit
+        looked(term, field, movers=mover, step=step, evidence=evidence).clone()
+        for step in (0.0, 45.0, 50.0)
+    )
+    assert at(first, 1.76, 0.0) >= 14
+    assert at(first, 1.76, 1.0) < 0
+    assert at(later, 1.76, 1.0) >= 14
+    assert at(later, 1.76, 0.0) < 14  # beams have passed there
+
+
+def test_what_is_out_of_sight_fades_as_fast_as_asked():
+    box = place(4.0, 4.5, -0.5, 0.5)
+    term = Local(radius_m=5.0, fade=2)
+    evidence = looked(term, box).unsqueeze(0)
+    assert at(evidence[0], 4.2, 0.0) == 22
+    near = Local(radius_m=3.0, fade=2)
+    seen = []
+    for step in range(0, 60, 5):
+        looked(near, box, step=float(step), evidence=evidence)
+        seen.append(at(evidence[0], 4.2, 0.0))
+    assert seen == [20, 18, 16, 14, 12, 10, 8, 6, 4, 2, 0, 0]
+    assert at(evidence[0], -4.2, 0.0) == -20  # what is free remains so
+
+
 def test_lost_readings_say_nothing():
     full = looked(Depth(**EXACT), place(5.5, 5.9, -6, 6))
     half = looked(Depth(noise_1pm=0.0, lost_share=0.5, **SURE), place(5.5, 5.9, -6, 6))
@@ -231,6 +264,7 @@ def test_the_value_function_sees_the_true_map(make_env):
         (["sensing=local", "sensing.radius_m=0.1"], r"radius_m is 0\.1, within"),
         (["sensing=depth", "sensing.rate_hz=99"], "rate_hz is 99, but there are 50 control steps"),
         (["sensing=depth", "sensing.miss=3"], r"expected hit > 0 > miss"),
+        (["sensing=depth", "sensing.fade=-1"], r"sensing\.fade is -1"),
         (["sensing=depth", "sensing.beams=0"], r"sensing\.beams is 0"),
         (["sensing=depth", "sensing.lost_share=2"], r"sensing\.lost_share is 2"),
     ],
@@ -238,3 +272,24 @@ def test_the_value_function_sees_the_true_map(make_env):
 def test_a_sensor_that_cannot_be_is_refused(compose, overrides, sentence):
     with pytest.raises(ConfigError, match=sentence):
         build_stages(compose(*FLIGHT, *overrides))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_movers_are_in_the_known_map_from_the_first_look_on(make_env, kind):
+    env = make_env("scene=dynamic", "num_envs=8", f"sensing={kind}")
+    env.restart(torch.arange(8))
+    seen = [env.value_of(keys.KNOWN_EVIDENCE) >= 14]
+    for _ in range(10):
+        env.advance(torch.zeros(8, 4))
+    seen.append(env.value_of(keys.KNOWN_EVIDENCE) >= 14)
+    assert (seen[0].flatten(1).sum(1) > 0).any()
+    assert not torch.equal(*seen)
+
+
+def test_movers_without_a_sensing_are_refused_but_for_who_is_told_of_them(make_env):
+    with pytest.raises(ConfigError, match=r"scene\.movers are obstacles that move, but without a"):
+        make_env("scene=dynamic", "num_envs=2")
+    env = make_env("scene=dynamic", "num_envs=2", "observation=[velocity,nearest_movers]")
+    env.restart(torch.arange(2))
+    told = env.stages.observation_columns.index("nearest_movers.mover_0_size")
+    assert (env.observation[:, told] > 0).any()

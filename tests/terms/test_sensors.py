@@ -6,10 +6,11 @@ from torch.testing import assert_close
 
 from resc.errors import ConfigError
 from resc.math.rotation import quaternion_from_euler
+from resc.term import Context
+from resc.terms.sensors.clearance import Clearance
 from resc.terms.sensors.euler import Euler
 from resc.terms.sensors.limit_violations import LimitViolations
 from resc.terms.sensors.surface_clearance import SurfaceClearance
-
 
 STILL = torch.zeros(3, 1), torch.empty(2, 0, 10)
 """The clock, and the movers of maps on which nothing moves."""
@@ -70,3 +71,31 @@ def test_surface_clearance_of_a_pillar_is_that_of_a_circle_not_of_its_cells():
     entry = torch.tensor([[0], [1], [1]])
     clearance = SurfaceClearance().compute(position, entry, boxes, pillars, *STILL)
     assert_close(clearance, torch.tensor([[4.75], [-0.3], [-0.5]]))
+
+
+MOVERS = torch.tensor([[[4.0, 0.0, -1.0, 0.0, 0.5, 0.0, 4.0, 0.0, 4.0, 0.0]]])
+"""A round one of 0.5 m radius that comes along the x axis at 1 m/s."""
+
+
+def test_the_nearest_obstacle_may_be_one_that_moves():
+    boxes, none = torch.tensor([[[1.0, -0.5, 1.0, 1.0]]]), torch.tensor([[[1e6, 1e6, 0.0]]])
+    term = SurfaceClearance()
+    term.bind(Context(dt_s=0.5, resolution_m=0.1, vehicle=None))
+    found = []
+    for step in (0.0, 4.0, 8.0):
+        clock, entry = torch.tensor([[step]]), torch.zeros(1, 1, dtype=torch.int64)
+        found.append(float(term.compute(row(0.0, 0.0, 1.0), entry, boxes, none, clock, MOVERS)))
+    assert found == [1.0, 1.0, -0.5]  # at 4, 2 and 0 m
+
+
+def test_clearance_is_the_least_of_the_field_and_the_exact_distance_to_movers():
+    term = Clearance()
+    term.bind(Context(dt_s=0.5, resolution_m=0.1, vehicle=None))
+    field = torch.full((1, 20, 20), 1.25)
+    corner, size = torch.tensor([[-1.0, -1.0]]), torch.tensor([[2.0, 2.0]])
+    found = []
+    for step in (0.0, 4.5, 5.0, 8.0):
+        clock, entry = torch.tensor([[step]]), torch.zeros(1, 1, dtype=torch.int64)
+        given = (entry, field, corner, size, clock, MOVERS)
+        found.append(float(term.compute(row(0.0, 0.0, 1.0), *given)))
+    assert found == [1.25, 1.25, 1.0, 0.0]

@@ -110,6 +110,18 @@ def test_pillars_are_round(log, tmp_path):
     assert "/world/pillars" in entities
 
 
+def test_movers_are_where_they_are_in_each_step(log, tmp_path):
+    from resc.viewing.rerun_scene import write_rerun
+
+    there = [[2.5, 0.4, 0.0, 1.0, 0.25, high, 2.5, 0.4, 2.5, 0.4] for high in (0.0, 0.2)]
+    movers = torch.tensor(there).expand(2, 2, 10)
+    run = copy_of(log, tmp_path / "run", world={**log.world, "movers_w": movers})
+    path = write_rerun(run, 0, tmp_path / "scene.rrd")
+    chunks = [*rr.chunk.RrdReader(path).stream()]
+    for name in ("/world/moving_pillars", "/world/moving_boxes"):
+        assert max(c.num_rows for c in chunks if str(c.entity_path) == name) == 3
+
+
 def test_scene_without_obstacles_is_a_recording(log, tmp_path):
     from resc.viewing.rerun_scene import write_rerun
 

@@ -344,6 +344,41 @@ def test_scene_without_obstacles_is_a_scene(log, tmp_path):
     assert (distances == 3.0).all()  # where the distance field ends
 
 
+MOVERS = torch.tensor(
+    [
+        [2.5, 0.4, 0.0, 1.0, 0.25, 0.0, 2.5, 0.4, 2.5, 0.4],
+        [4.0, 1.0, -2.0, 0.0, 0.2, 0.3, 4.0, 1.0, 4.0, 1.0],
+        [PARKED_M, PARKED_M, *(0.0,) * 4, *(PARKED_M,) * 4],
+    ]
+)
+"""One round, one a box, one that does not exist."""
+
+
+def test_movers_are_drawn_where_they_are_in_each_step(log, tmp_path):
+    world = {**log.world, "movers_w": MOVERS.expand(2, 3, 10)}
+    run = copy_of(log, tmp_path / "run", world=world)
+    found, clouds = [], []
+    with write_scene(run, 0, tmp_path / "scene.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, _, decoded in reader.iter_decoded_messages():
+            if channel.topic == "/world/movers":
+                (entity,) = decoded.entities
+                found.append((entity.cylinders[0].pose.position, entity.cubes[0]))
+            if channel.topic == "/world/mover_points":
+                places = np.frombuffer(decoded.data, np.uint8).reshape(-1, decoded.point_stride)
+                clouds.append(places[:, :4].copy().view("<f4").max())
+    assert [centre.y for centre, _ in found] == pytest.approx([0.4, 0.42, 0.44])
+    assert [box.pose.position.x for _, box in found] == pytest.approx([4.0, 3.96, 3.92])
+    assert (found[0][1].size.x, found[0][1].size.y) == pytest.approx((0.4, 0.6))
+    assert clouds == pytest.approx([4.2, 4.16, 4.12])
+
+
+def test_where_nothing_moves_there_is_no_topic_for_it(log, tmp_path):
+    with write_scene(log, 0, tmp_path / "still.mcap").open("rb") as file:
+        topics = {c.topic for c in make_reader(file).get_summary().channels.values()}
+    assert not any("mover" in topic for topic in topics)
+
+
 def test_pillars_are_cylinders_and_round_in_the_map(log, tmp_path):
     pillars = torch.tensor([[2.5, 0.4, 0.25], [PARKED_M, PARKED_M, 0.0]]).expand(2, 2, 3)
     run = copy_of(log, tmp_path / "run", world={**log.world, "pillars_w": pillars})
