@@ -33,9 +33,10 @@ def tabulate_episodes(flights: Flights, pool: ScenePool) -> Episodes:
     """
     layout = pool.layout
     lengths = (layout.boxes_w[..., 2], layout.pillars_w[..., 2], layout.movers_w[..., 4])
+    obstacles = torch.stack([(length > 0).sum(-1) for length in lengths]).sum(0)
     return {
         "scene": np.arange(len(flights)),
-        "obstacles": sum((length > 0).sum(-1) for length in lengths).numpy(),
+        "obstacles": obstacles.numpy(),
         "density": density_near_route(pool).double().numpy(),
         "outcome": np.array(flights.names),
         "success": flights.success.numpy().astype(np.int64),

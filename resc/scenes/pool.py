@@ -150,7 +150,8 @@ class ScenePool:
         fitting = rows(layout, fits)
         fitting = replace(fitting, route_w=fitting.route_w[:, :room])
         kinds = (keys.BOXES_W, keys.PILLARS_W, keys.MOVERS_W)
-        self._write(entries[fits], pad(fitting, *(self.shared[k].shape[1] for k in kinds), room))
+        boxes, pillars, movers = (self.shared[key].shape[1] for key in kinds)
+        self._write(entries[fits], pad(fitting, boxes, pillars, movers, room))
         return entries[fits]
 
     def state(self) -> dict[str, Tensor | int]:
