@@ -175,6 +175,24 @@ def test_what_is_out_of_sight_fades_as_fast_as_asked():
     assert at(evidence[0], -4.2, 0.0) == -20  # what is free remains so
 
 
+def test_where_what_moves_will_be_is_occupied_as_far_ahead_as_asked():
+    free = torch.zeros(1, 1, dtype=torch.int64), torch.full((1, 120, 120), TRUNCATION_M)
+    field = (*free, torch.tensor([[-6.0, -6.0]]), torch.tensor([[12.0, 12.0]]))
+    mover = torch.tensor([[[2.0, 0.0, 0.0, 1.5, 0.2, 0.2, 2.0, 0.0, 2.0, 0.0]]])
+    now, soon = (
+        looked(Local(predict_s=s), field, movers=mover, step=50.0, evidence=unseen())
+        for s in (0.0, 1.0)
+    )
+    way = [1.35 + 0.1 * cell for cell in range(18)]  # at 1 s it is at y = 1.5, at 2 s at 3
+    assert [at(now, 2.0, y) == 22 for y in way] == [y < 1.7 for y in way]
+    assert [at(soon, 2.0, y) == 22 for y in way] == [True] * 18
+    assert at(soon, 2.0, 1.25) == at(soon, 2.0, 3.25) == -20
+
+
+def unseen():
+    return torch.full((1, 120, 120), UNKNOWN, dtype=torch.int8)
+
+
 def test_lost_readings_say_nothing():
     full = looked(Depth(**EXACT), place(5.5, 5.9, -6, 6))
     half = looked(Depth(noise_1pm=0.0, lost_share=0.5, **SURE), place(5.5, 5.9, -6, 6))
