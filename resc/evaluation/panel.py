@@ -29,6 +29,7 @@ from resc.viewing.colours import (
     TEXT,
 )
 from resc.viewing.map_picture import SHADE_M, draw_obstacles
+from resc.viewing.moving import draw_movers, draw_trails, movers_of, places_of
 
 CROP_M, MARGIN_M = 6.0, 1.0
 """Least edge and margin of the part shown of a map that is mostly empty."""
@@ -87,6 +88,11 @@ class Panel:
         return max(float(trace(self.flown.flights, number)[1].max()) for number in self.shown)
 
     @property
+    def moving(self) -> bool:
+        """Whether its scenes have obstacles that move."""
+        return self.flown.course.layout.movers_w.shape[1] > 0
+
+    @property
     def fates(self) -> set[str]:
         """Which kinds of failure are marked."""
         flights = self.flown.flights
@@ -109,6 +115,7 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
         interpolation="bilinear",
     )
     draw_obstacles(axes, layout, first)
+    _draw_moving(axes, panel)
     _draw_plan(axes, flown.course, first, flown.column_radius_m)
     if panel.reference:
         line = panel.reference.fastest.line()
@@ -121,6 +128,17 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
         axes.add_collection(lines)
     _draw_ends(axes, panel, mark_scale)
     _dress(axes, panel)
+
+
+def _draw_moving(axes: Axes, panel: Panel) -> None:
+    """What moves, where it is at the end of the first flight, and whence it came."""
+    flown, first = panel.flown, panel.shown[0]
+    if panel.moving:
+        movers = movers_of({"movers_w": flown.course.layout.movers_w[first]})
+        steps = int(flown.flights.counted[first]) + 1
+        places = places_of(movers, steps, flown.flights.dt_s)
+        draw_movers(axes, movers, places[-1])
+        draw_trails(axes, places)
 
 
 def trace(

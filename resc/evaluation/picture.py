@@ -10,11 +10,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from resc.evaluation.panel import Flown, Panel, draw_panel
 from resc.evaluation.statistics import SceneReport
 from resc.evaluation.worst import slowness, worst_maps
-from resc.viewing.colours import BOUND, COLLISION, DASHES, LOST, PLAN, SPEED
+from resc.viewing.colours import BOUND, COLLISION, DASHES, LOST, MOVER, PLAN, SPEED
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -135,6 +136,8 @@ def _add_legend(figure: Figure, panels: Sequence[Panel]) -> None:
     ]
     if any(panel.reference for panel in panels):
         entries.insert(1, Line2D([], [], color=BOUND, linewidth=0.9, label="time-optimal"))
+    if any(panel.moving for panel in panels):
+        entries.append(Patch(facecolor=MOVER, label="moving, at the end"))
     failures = {fate for panel in panels for fate in panel.fates}
     if "collision" in failures:
         entries.append(_mark("X", 7, "collision", face=COLLISION, edge="white"))
