@@ -6,6 +6,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -128,7 +129,7 @@ def _aspect(panel: Panel) -> float:
 
 def _add_legend(figure: Figure, panels: Sequence[Panel]) -> None:
     """What the marks mean; failures only where there are some."""
-    entries = [
+    entries: list[Artist] = [
         Line2D([], [], color=PLAN, linewidth=1.0, linestyle=DASHES, label="planned path"),
         _mark("o", 11, "control point", edge_width=0.6),
         _mark("o", 6, "start"),

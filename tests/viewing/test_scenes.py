@@ -96,7 +96,9 @@ def test_every_topic_is_documented_with_its_schema(messages):
     rows = [line.split("|")[1:3] for line in text.splitlines() if line.startswith("| `/")]
     documented = {(topic.strip(" `"), schema.strip()) for topic, schema in rows}
     found = {(topic.replace("kgp_esdf", "<name>"), schema) for topic, schema, *_ in messages}
-    assert documented == {pair for pair in found if "esdf_patch" not in pair[0]}
+    of_movers = {pair for pair in documented if pair[0].startswith("/world/mover")}
+    assert len(of_movers) == 2  # this scene has none
+    assert documented - of_movers == {pair for pair in found if "esdf_patch" not in pair[0]}
 
 
 def test_times_count_from_the_beginning_and_agree_with_the_stamps(log, messages):
