@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr  # pyright: ignore[reportMissingImports]
 import rerun.blueprint as rrb  # pyright: ignore[reportMissingImports]
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from resc import keys
 from resc.errors import RecordingError
@@ -30,11 +30,13 @@ from resc.viewing.appearance import (
 )
 from resc.viewing.colours import ESTIMATED, MEASURED, MOVER
 from resc.viewing.episode_scene import EpisodeScene, load_scene
+from resc.viewing.foxglove import KNOWN_M
+from resc.viewing.known_picture import RENEWED, shaded
 from resc.viewing.scalars import Numbers
 from resc.viewing.sight import colour_of
 
 APPLICATION = "resc"
-LINE_M, RAY_M, DOT_M, TRAIL_M = 0.006, 0.004, 0.035, 0.015
+LINE_M, RAY_M, DOT_M, TRAIL_M, ROUTE_M = 0.006, 0.004, 0.035, 0.015, 0.012
 """Radii [m]."""
 TRACK, FRAME = -1.2, -2.0
 """Radii on the screen, which Rerun takes negative: tracks millimetres apart stay so from near."""
@@ -83,6 +85,7 @@ def _send(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     _send_vehicle(stream, scene, times)
     _send_movers(stream, scene, times)
     _send_route(stream, scene)
+    _send_learnt(stream, scene)
     _send_estimate(stream, scene)
     for name, seen in scene.sights.items():
         _send_sight(stream, f"/observation/{name}", seen, scene, times)
@@ -123,7 +126,7 @@ def _send_place(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
             fill_mode="solid",
         )
         stream.log("/world/pillars", shape, static=True)
-    stream.log("/map/esdf", _ground(scene), static=True)
+    stream.log("/map/esdf", _ground(scene, shades(place.esdf.numpy())), static=True)
     plan = np.concatenate((place.start.numpy()[None], place.route.numpy()))
     path = rr.LineStrips3D([plan], colors=[rgba(NEXT)], radii=[LINE_M])
     stream.log("/plan/path", path, static=True)
@@ -164,17 +167,37 @@ def _send_estimate(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
         stream.log("/drone/estimate", path, static=True)
 
 
-def _ground(scene: EpisodeScene) -> rr.Mesh3D:
-    """The map's colours on the ground: a rectangle with a picture of one pixel a cell."""
+def _ground(
+    scene: EpisodeScene, tint: UInt8[np.ndarray, "h w 4"], height_m: float = 0.0
+) -> rr.Mesh3D:
+    """The colours of a map, level: a rectangle with a picture of one pixel a cell."""
     place = scene.place
     unit = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
     corners = place.origin.numpy() + unit * place.size.numpy()
     return rr.Mesh3D(
-        vertex_positions=np.pad(corners, ((0, 0), (0, 1))),
+        vertex_positions=np.pad(corners, ((0, 0), (0, 1)), constant_values=height_m),
         vertex_texcoords=unit,  # both count from the first row of the map
         triangle_indices=[(0, 1, 2), (0, 2, 3)],
-        albedo_texture=shades(place.esdf.numpy()),
+        albedo_texture=tint,
     )
+
+
+def _send_learnt(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
+    """Each known map, above the true one, and each route, when it was there."""
+    below = shades(scene.place.esdf.numpy())
+    for known in scene.known:
+        over = shaded(known.cells)
+        share = over[..., 3:]
+        tint = below.copy()
+        tint[..., :3] = (1 - share) * below[..., :3] + 255 * share * over[..., :3]
+        stream.set_time("time", duration=known.step * scene.dt_s)
+        stream.log("/map/known", _ground(scene, tint, KNOWN_M))
+    position = scene.column(keys.POSITION_W).numpy()
+    for route in scene.routes:
+        line = np.concatenate((position[route.step][None], route.points))
+        stream.set_time("time", duration=route.step * scene.dt_s)
+        stream.log("/plan/route", rr.LineStrips3D([line], colors=[rgba(RENEWED)], radii=[ROUTE_M]))
+    stream.reset_time()
 
 
 def _send_route(stream: rr.RecordingStream, scene: EpisodeScene) -> None:

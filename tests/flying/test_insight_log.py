@@ -129,3 +129,16 @@ def test_packed_cells_come_out_again(shape):
     cells = np.random.default_rng(0).integers(0, 3, (2, *shape)).astype(np.uint8)
     words = packed(cells != UNSEEN, cells == OCCUPIED)
     assert all(np.array_equal(unpacked(w, *shape), c) for w, c in zip(words, cells, strict=True))
+
+
+def test_a_scene_for_rerun_shows_them_too(recording, tmp_path):
+    rr = pytest.importorskip("rerun", reason="the extra 'rerun' is not installed")
+    from resc.viewing.rerun_scene import write_rerun
+
+    log = RolloutLog(recording)
+    path = write_rerun(log, 0, tmp_path / "scene.rrd")
+    rows = {"/map/known": 0, "/plan/route": 0}
+    for chunk in rr.chunk.RrdReader(path).stream():
+        rows[str(chunk.entity_path)] = rows.get(str(chunk.entity_path), 0) + chunk.num_rows
+    assert rows["/map/known"] == len(log.known_maps(0))
+    assert rows["/plan/route"] == len(log.routes(0))
