@@ -55,6 +55,7 @@ class InFlight(Replanning):
         link_m: How far an end may be moved out of the clearance.
         turn_m: How much longer a route may be that goes on than one that turns back.
         seen_m: How near the vehicle a route has to lead through cells that were seen.
+        edge_m: How far new routes stay from the sides of the map.
         latency_steps: Control steps from a map to the route that is planned on it.
         max_expansions: Work after which a search gives up.
         spacing_m: Least and greatest distance between control points.
@@ -113,6 +114,7 @@ class InFlight(Replanning):
         link_m: NotNegative = 1.0,
         turn_m: NotNegative = 4.0,
         seen_m: NotNegative = 1.0,
+        edge_m: NotNegative = 0.0,
         latency_steps: Annotated[int, Within(0, 50)] = 1,
         max_expansions: Annotated[int, Within(1, 1e9)] = 100_000,
         spacing_m: Sequence[Positive] = (1.0, 2.0),
@@ -133,7 +135,7 @@ class InFlight(Replanning):
         self.latency_steps = latency_steps
         self.points = points
         limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
-        self.numbers = (ahead_m, margin_m, link_m, turn_m, seen_m, max_expansions)
+        self.numbers = (ahead_m, margin_m, link_m, turn_m, seen_m, edge_m, max_expansions)
         self.limits = limits
         self.released = rule == "released"
         # numba: once a kernel that calls it is loaded from its cache, a function that gives arrays

@@ -3,8 +3,9 @@
 `settings` are the edge of a cell [m], how far ahead of the vehicle a route is checked [m], what it
 must keep [m], how far an end inside the clearance may be moved [m], by how much a route that goes
 on may be longer than one that turns back [m], within which distance of the vehicle cells have to be
-seen [m], the greatest number of expansions, the spacing of control points, and whether they follow
-the released rule (`resc.planning.control_points`).
+seen [m], how far from the sides of the map new routes stay [m], the greatest number of expansions,
+the spacing of control points, and whether they follow the released rule
+(`resc.planning.control_points`).
 """
 
 from math import floor, hypot, sqrt
@@ -77,7 +78,9 @@ def renew(
         counts: Written: how many of them.
         moved: Written: whether start or goal had to be moved out of the clearance.
     """
-    cell_m, look_m, margin_m, link_m, turn_m, seen_m, expansions, limits, released = settings
+    cell_m, look_m, margin_m, link_m, turn_m, seen_m, edge_m, expansions, limits, released = (
+        settings
+    )
     _, height, width = esdf.shape
     work = workspace(height * width, 8 * height * width)
     query = 0
@@ -99,6 +102,10 @@ def renew(
         squared = floor((clearance[n] / cell_m) ** 2 + 1e-9)
         least = sqrt(squared) * cell_m + 1e-4
         room = known <= least
+        edge = int(edge_m / cell_m + 0.5)
+        if edge > 0:
+            room[:edge], room[rows - edge :] = True, True
+            room[:, :edge], room[:, columns - edge :] = True, True
         frame = (corner[0] + 0.5 * cell_m, corner[1] + 0.5 * cell_m, cell_m)
         start = _freed(room, position[n], frame, link_m)
         end = _freed(room, goal[n], frame, link_m)

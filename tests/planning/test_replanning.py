@@ -232,6 +232,12 @@ def test_lines_of_the_released_rule_may_cross_what_those_of_the_other_keep_clear
     assert least["released"] < least["visible"]
 
 
+def test_new_routes_stay_away_from_the_sides_of_the_map():
+    wall = known((-0.1, 0.1, -6.0, 5.2))  # open for 0.8 m at the upper side
+    assert Flight().check(0, wall) == RENEWED
+    assert Flight(edge_m=0.5).check(0, wall) == CLOSED_OFF
+
+
 @pytest.mark.parametrize("key", [keys.POSITION_W, keys.VELOCITY_W])
 def test_routes_begin_at_the_estimated_state_and_not_at_the_true_one(make_env, key):
     env = make_env("num_envs=8", "sensing=local", "replanning=in_flight", "estimator=noise")

@@ -10,7 +10,7 @@ from torch import Tensor
 from resc.errors import ConfigError
 from resc.maps.constants import INFLATION_M
 from resc.maps.known_map import reveal
-from resc.maps.movers import outlines
+from resc.maps.movers import motion
 from resc.maps.sensing import MapSensing, SensingOptions
 from resc.quantities import NotNegative, Positive
 
@@ -23,8 +23,9 @@ class Local(MapSensing):
 
     What the released simulator calls its local map (facts 9.4): without occlusion.
 
-    With `predict_s`, the cells that obstacles will cover which move count as occupied as well, as
-    if a tracker told their velocities without errors: a route then passes behind what crosses it.
+    With `predict_s`, the cells that moving obstacles will cover at their present velocities count
+    as occupied as well, as if a tracker told these without errors: a route then passes behind what
+    crosses it.
 
     Args:
         radius_m: Horizontal distance within which everything becomes known.
@@ -54,11 +55,13 @@ class Local(MapSensing):
         index: Int[Tensor, "n 1"],
         movers: Float[Tensor, "p o 10"],
     ) -> Float[Tensor, "n m 4"] | None:
-        """Where the movers of each row are, and where they will be; None where there are none."""
+        """Where the movers of each row are, and where their velocities take them."""
         if not movers.shape[1]:
             return None
-        own, now_s = movers[index[:, 0]], clock * self.dt_s
-        return torch.cat([outlines(own, now_s + ahead_s) for ahead_s in self.ahead_s], 1)
+        own = movers[index[:, 0]]
+        centre, velocity = motion(own, clock * self.dt_s)
+        places = torch.cat([centre + velocity * ahead_s for ahead_s in self.ahead_s], 1)
+        return torch.cat((places, own[..., 4:6].repeat(1, len(self.ahead_s), 1)), -1)
 
     def compute(
         self,
