@@ -219,7 +219,7 @@ MOVERS_W = _declare(
     ("p", "o", 10),
     "m, m/s",
     "columns that move: x and y at the beginning, velocity, half the edges (radius and 0: round), "
-    "least and greatest x and y of the centre",
+    "least x and y of the centre, greatest x and y",
     shared=True,
 )
 

@@ -48,7 +48,7 @@ class Setup:
         if self.pool.shared[keys.MOVERS_W].shape[1] and not shown:
             raise ConfigError(
                 "scene.movers are obstacles that move, but without a sensing the policy sees a map "
-                "on which they are not; choose sensing=local, depth or lidar2d, or add "
+                "on which they are not; choose sensing=predicted, local, depth or lidar2d, or add "
                 "nearest_movers to observation."
             )
 

@@ -1,7 +1,7 @@
 """Obstacles that move: where they are is a closed form of time, so that nothing has to be kept.
 
 A mover is a row of ten numbers: x, y of its centre at time 0; its velocity; half its edges, or the
-radius and 0 of a round one; the least and the greatest x and y of its centre. Along each axis the
+radius and 0 of a round one; the least x and y of its centre, and the greatest. Along each axis the
 centre goes to and fro between its ends, as a triangle wave. An axis whose ends are the same has
 none: there it goes on for ever. Movers are columns over the whole height, as all obstacles are, and
 pass through obstacles and each other.

@@ -112,8 +112,7 @@ def compose_scenes(names: Sequence[str], numbers: Mapping[str, Any]) -> dict[str
         if times > 1:
             raise ConfigError(f"scenes names '{name}' {times} times; raise flights instead.")
         node = compose(hydra_config.job.config_name, [*search, f"+scene={name}"])["scene"]
-        scenes[name] = {
-            **cast(dict[str, Any], OmegaConf.to_container(node, resolve=True)),
-            **cast(dict[str, Any], OmegaConf.to_container(numbers, resolve=True)),
-        }
+        own = OmegaConf.create(OmegaConf.to_container(node, resolve=True))
+        both = OmegaConf.to_container(OmegaConf.merge(own, numbers), resolve=True)
+        scenes[name] = cast(dict[str, Any], both)
     return scenes

@@ -1,7 +1,7 @@
 """Everything around the vehicle, behind obstacles, too."""
 
 import math
-from typing import Unpack
+from typing import Annotated, Unpack
 
 import torch
 from jaxtyping import Float, Int, Int8
@@ -12,7 +12,7 @@ from resc.maps.constants import INFLATION_M
 from resc.maps.known_map import reveal
 from resc.maps.movers import motion
 from resc.maps.sensing import MapSensing, SensingOptions
-from resc.quantities import NotNegative, Positive
+from resc.quantities import Positive, Within
 
 EVERY_S = 0.2
 """Between two predicted places of a mover: at 1.5 m/s it goes on by less than its size."""
@@ -37,7 +37,7 @@ class Local(MapSensing):
         self,
         *,
         radius_m: Positive = 5.0,
-        predict_s: NotNegative = 0.0,
+        predict_s: Annotated[float, Within(0, 10)] = 0.0,
         **options: Unpack[SensingOptions],
     ) -> None:
         super().__init__(**options)
