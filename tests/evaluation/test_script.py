@@ -69,6 +69,15 @@ def test_start_in_an_obstacle_is_one_sentence(tmp_path, untrained):
 
 
 @pytest.mark.slow
+def test_one_number_of_a_part_of_a_scene_is_changed(tmp_path, untrained):
+    code, _, said = evaluate(
+        tmp_path, f"policy={untrained}", "scenes=[dynamic]", "+scene.movers.count=[5,2]"
+    )
+    assert (code, said.count("\n")) == (1, 1)
+    assert said.startswith("error: scene.dynamic.movers: count is [5, 2]; expected [least")
+
+
+@pytest.mark.slow
 def test_job_done_exits_with_zero_whatever_came_of_the_flights(tmp_path, untrained):
     code, told, said = evaluate(
         tmp_path, f"policy={untrained}", "scenes=[free,paper4_map15]", "flights=2", "recorder=none"
