@@ -181,7 +181,7 @@ def fly_linked(prepared: Prepared, link: Link, directory: Path, *, arm: bool) ->
     try:
         _rehearse(env, pilot)
         gc.collect()
-        gc.freeze()  # or the collector looks through all that was imported, in flight
+        gc.freeze()  # for good: or the collector looks through all that was imported, in flight
         link.engage(arm=arm)
         vehicle.link = start.link = link
         env.restart(torch.arange(1))
@@ -194,7 +194,6 @@ def fly_linked(prepared: Prepared, link: Link, directory: Path, *, arm: bool) ->
                 log.flush()
     finally:
         link.hand_over()
-        gc.unfreeze()
         vehicle.link = start.link = None
         if recorder is not None:
             recorder.close()

@@ -55,7 +55,8 @@ class InFlight(Replanning):
         link_m: How far an end may be moved out of the clearance.
         turn_m: How much longer a route may be that goes on than one that turns back.
         seen_m: How near the vehicle a route has to lead through cells that were seen.
-        edge_m: How far new routes stay from the sides of the map.
+        edge_m: How far new routes stay from the sides of the map; a nearer end is moved, as one
+            inside the clearance is.
         latency_steps: Control steps from a map to the route that is planned on it.
         max_expansions: Work after which a search gives up.
         spacing_m: Least and greatest distance between control points.
