@@ -459,8 +459,8 @@ class Stages(nn.Module):
         if self.terms.replanning and not self.terms.sensing:
             raise ConfigError(
                 f"{self.terms.replanning.path} goes by the map that a vehicle knows, but without a "
-                "sensing the whole map is known from the beginning; choose sensing=local, depth or "
-                "lidar2d, or replanning=none."
+                "sensing the whole map is known from the beginning; choose sensing=local, "
+                "predicted, depth or lidar2d, or replanning=none."
             )
         kept = set(self.persistent)
         past = {key for key in self.memory if key[1:] in kept}

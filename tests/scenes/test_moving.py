@@ -11,9 +11,16 @@ from resc.scenes.moving import Movers
 from resc.scenes.open_field import OpenField
 from resc.setup import scene_of, set_up
 
+FIELD = {
+    "origin_m": (0.0, 0.0),
+    "size_m": (12.0, 12.0),
+    "start_m": (1.0, 6.0, 1.0),
+    "goal_m": (11.0, 6.0, 1.0),
+}
+
 
 def layout(maps=50, *, seed=0, count=(10, 10), **options):
-    field = OpenField(movers=Movers(count=count, **options))
+    field = OpenField(**FIELD, movers=Movers(count=count, **options))
     return field.sample(maps, generator_for(seed, "movers"))
 
 
@@ -93,7 +100,7 @@ def test_a_random_number_of_them_is_padded_out_of_the_way():
 
 
 def test_scenes_with_more_and_with_fewer_movers_are_one_batch():
-    none = OpenField().sample(2, torch.Generator())
+    none = OpenField(**FIELD).sample(2, torch.Generator())
     assert none.movers_w.shape == (2, 0, 10)
     both = concatenate([none, layout(3, count=(2, 2))])
     assert both.movers_w.shape == (5, 2, 10)
