@@ -162,6 +162,7 @@ class QuadrotorEnv(EnvBase):
         Raises:
             CallError: The rows are no numbers of environments.
         """
+        rows = rows.cpu() if isinstance(rows, Tensor) else rows
         require_rows(rows, self.num_envs)
         if not self._world:
             self._allocate()
@@ -172,19 +173,15 @@ class QuadrotorEnv(EnvBase):
         own, critic = self.observation, self.observation_critic
         self.observation = own.clone(memory_format=torch.contiguous_format)
         self.observation_critic = critic.clone(memory_format=torch.contiguous_format)
-        for part in rows.cpu().split(self.chunk):
+        for part in rows.split(self.chunk):
             filled = torch.arange(self.chunk).clamp(max=len(part) - 1)
-            target = part[filled].to(self.device)
-            entry = self._entries(part)[filled].unsqueeze(-1).to(self.device)
-            drawn = {
-                name: block[filled.to(self.device)]
-                for name, block in self._draw(self.draws, len(part)).items()
-            }
+            where = torch.stack((part, self._entries(part)))[:, filled].to(self.device)
+            drawn = self._draw(self.draws, len(part), filled)
             self._restart_function(
                 self._world,
                 (self.observation, self.observation_critic),
-                target,
-                entry,
+                where[0],
+                where[1].unsqueeze(-1),
                 self.pool.tasks,
                 self.pool.shared,
                 drawn,
@@ -243,15 +240,20 @@ class QuadrotorEnv(EnvBase):
         for name, state in states.items():
             self.generators[name].set_state(state)
 
-    def _draw(self, widths: dict[str, int], count: int) -> dict[str, Tensor]:
-        """Uniform numbers in [0, 1) [count, width] from each named generator.
+    def _draw(
+        self, widths: dict[str, int], count: int, rows: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Uniform numbers in [0, 1) [count, width] from each named generator; some `rows` of them.
 
-        Drawn on the CPU, so that every device sees the same bits.
+        Drawn on the CPU, so that every device sees the same bits, and sent to it in one piece.
         """
-        return {
-            name: torch.rand(count, width, generator=self.generators[name]).to(self.device)
-            for name, width in widths.items()
-        }
+        if not widths:
+            return {}
+        drawn = [torch.rand(count, w, generator=self.generators[n]) for n, w in widths.items()]
+        blocks = drawn if rows is None else [block[rows] for block in drawn]
+        if self.device.type != "cpu":
+            blocks = torch.cat(blocks, -1).to(self.device).split([*widths.values()], -1)
+        return dict(zip(widths, blocks, strict=True))
 
     def _entries(self, rows: Tensor) -> Tensor:
         """Pool entries for new episodes of the given rows."""

@@ -62,6 +62,7 @@ class Collector:
         self._began = torch.ones(env.num_envs, 1, dtype=torch.bool, device=env.device)
         self._memory = policy.first_state(env.num_envs)
         self._batch: TensorDict | None = None
+        self._steps: list[World] = []  # views of each step of the batch
         self._require_room(policy)
         self.statistics = EpisodeStatistics(
             env.num_envs, (*env.stages.outcomes, RENEWED), env.device, env.stages.difficulties
@@ -162,25 +163,30 @@ class Collector:
             chosen = self.explore(seen)
             if self._batch is None:
                 self._batch = self._allocate(seen, chosen)
-            cast(TensorDict, self._batch[t]).update_(seen.update(chosen))
+                self._steps = [_leaves(cast(TensorDict, step)) for step in self._batch.unbind(0)]
+            self._write(t, _leaves(seen.update(chosen)))
             self._go_on(chosen)
             yield cast(Tensor, chosen["action"])
 
     def _keep(self, t: int, before: World, out: StepOutput) -> None:
         """Takes down what came of a step, and begins the next episodes."""
-        env, row = self.env, cast(TensorDict, self.batch[t])
-        for key in self.recorded:
-            row[key].copy_(before[key])
-        after = cast(TensorDict, row["next"])
-        after[OBSERVATION].copy_(out.observation)
-        for name in ("reward", *FLAGS):
-            after[name].copy_(getattr(out, name))
-        row["reward_terms"].copy_(out.reward_terms)
+        env = self.env
+        values: World = {key: before[key] for key in self.recorded}
+        values[("next", OBSERVATION)] = out.observation
+        values |= {("next", name): getattr(out, name) for name in ("reward", *FLAGS)}
+        values[("reward_terms",)] = out.reward_terms
+        self._write(t, values)
+        rows = out.done[:, 0].nonzero()[:, 0]
         scene = env.value_of(keys.SCENE_INDEX)
-        self.statistics.step(t, out, scene, env.flown_difficulties)
+        self.statistics.step(t, out, rows, scene, env.flown_difficulties)
         if self._routes and self.keeps_starts:
             self._routes.step(self.start_step + t, before, ~out.done)
-        self._restart(t + 1, out.done[:, 0].nonzero()[:, 0])
+        self._restart(t + 1, rows)
+
+    def _write(self, t: int, values: World) -> None:
+        """Copies what belongs to a step of the batch there, all in one call."""
+        there = self._steps[t]
+        torch._foreach_copy_([there[key] for key in values], [*values.values()])
 
     def _go_on(self, chosen: TensorDict) -> None:
         self._began = torch.zeros_like(self._began)
@@ -245,3 +251,9 @@ class Collector:
             "lower one of them",
             env.device,
         )
+
+
+def _leaves(step: TensorDict) -> World:
+    """The tensors of a step by key."""
+    leaves = step.items(include_nested=True, leaves_only=True)
+    return {key if isinstance(key, tuple) else (key,): cast(Tensor, leaf) for key, leaf in leaves}

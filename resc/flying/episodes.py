@@ -44,23 +44,32 @@ class EpisodeStatistics:
         self.numbers = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self.recent: deque[Row] = deque(maxlen=WINDOW)
         self.total = 0
-        self.finished: list[TensorDict] = []
+        self._finished: list[TensorDict] = []
+        self._ended: list[dict[str, Tensor]] = []  # since, still on the device
         self.start_step = 0
 
     def begin_batch(self, start_step: int) -> None:
         """Forgets the episodes listed so far; `start_step` is the first step of the batch."""
-        self.finished = []
+        self._settle()
+        self._finished = []
         self.start_step = start_step
 
     def step(
-        self, t: int, out: StepOutput, scene: Tensor, difficulties: Mapping[str, Tensor]
+        self,
+        t: int,
+        out: StepOutput,
+        rows: Tensor,
+        scene: Tensor,
+        difficulties: Mapping[str, Tensor],
     ) -> None:
-        """Counts one control step, of episodes in these scenes at these difficulties [n, 1]."""
+        """Counts one control step, of episodes in these scenes at these difficulties [n, 1].
+
+        Those in `rows` [k] end with it.
+        """
         self.returns += out.reward[:, 0]
         self.lengths += 1
         self.scene = scene
         self.difficulties = difficulties
-        rows = out.done[:, 0].nonzero()[:, 0]
         if len(rows):
             self._finish(t, rows, out.outcome[rows, 0])
 
@@ -71,10 +80,11 @@ class EpisodeStatistics:
 
     def episodes(self) -> TensorDict | None:
         """The episodes that finished in this batch [e], for the recorder."""
-        if not self.finished:
+        self._settle()
+        if not self._finished:
             return None
         # torch.cat is annotated for tensors alone; tensordict makes it take its own.
-        return torch.cat(self.finished)  # pyright: ignore[reportArgumentType, reportReturnType]
+        return torch.cat(self._finished)  # pyright: ignore[reportArgumentType, reportReturnType]
 
     def complete(self) -> TensorDict | None:
         """As `episodes`, without those that were cut from outside, with their `success`."""
@@ -91,8 +101,9 @@ class EpisodeStatistics:
 
         Where one had just ended there, that one.
         """
+        self._settle()
         last = self.start_step + max(steps - 1, 0)
-        for part in self.finished:
+        for part in self._finished:
             own = (
                 (part["env_id"] == row) & (part["start_step"] <= last) & (part["end_step"] >= last)
             )
@@ -105,6 +116,7 @@ class EpisodeStatistics:
 
         Episodes cut from outside are excluded.
         """
+        self._settle()
         rows = [row for row in self.recent if row[0] < len(self.outcomes) - 1]
         if not rows:
             return {}
@@ -126,6 +138,7 @@ class EpisodeStatistics:
 
         A bin without an episode is left out, and episodes cut from outside are excluded.
         """
+        self._settle()
         rows = [row for row in self.recent if row[0] < len(self.outcomes) - 1]
         shares = {}
         for name in names:
@@ -139,6 +152,7 @@ class EpisodeStatistics:
 
     def state(self) -> dict[str, Tensor | int | list[Row]]:
         """For a checkpoint."""
+        self._settle()
         return {
             "returns": self.returns,
             "lengths": self.lengths,
@@ -159,29 +173,38 @@ class EpisodeStatistics:
 
     def _finish(self, t: int, rows: Tensor, codes: Tensor) -> None:
         end = self.start_step + t
-        lengths, returns = self.lengths[rows], self.returns[rows]
-        flown_at = {name: self.difficulties[name][rows, 0].cpu() for name in self.names}
-        levels = torch.stack([*flown_at.values()], -1) if flown_at else torch.zeros(len(rows), 0)
-        columns = (codes.tolist(), returns.tolist(), lengths.tolist(), map(tuple, levels.tolist()))
-        self.recent.extend(zip(*columns, strict=True))
+        lengths = self.lengths[rows]
         self.total += len(rows)
-        self.finished.append(
-            TensorDict(
-                {
-                    "env_id": rows,
-                    "episode": self.numbers[rows],
-                    "start_step": end - lengths + 1,
-                    "end_step": torch.full_like(rows, end),
-                    "length": lengths,
-                    "return_": returns,
-                    "outcome": codes,
-                    "scene": self.scene[rows, 0],
-                    "difficulty": levels.mean(-1) if self.names else torch.ones(len(rows)),
-                    "difficulties": TensorDict(flown_at, batch_size=[len(rows)]),
-                },
-                batch_size=[len(rows)],
-            ).cpu()
+        self._ended.append(
+            {
+                "env_id": rows,
+                "episode": self.numbers[rows],
+                "start_step": end - lengths + 1,
+                "end_step": torch.full_like(rows, end),
+                "length": lengths,
+                "return_": self.returns[rows],
+                "outcome": codes,
+                "scene": self.scene[rows, 0],
+                **{name: self.difficulties[name][rows, 0] for name in self.names},
+            }
         )
         self.numbers[rows] += 1
         self.returns[rows] = 0
         self.lengths[rows] = 0
+
+    def _settle(self) -> None:
+        """Takes the episodes that ended since from the device, all at once."""
+        if not self._ended:
+            return
+        columns = {
+            name: torch.cat([part[name] for part in self._ended]).cpu() for name in self._ended[0]
+        }
+        self._ended = []
+        count = len(columns["env_id"])
+        flown_at = {name: columns.pop(name) for name in self.names}
+        levels = torch.stack([*flown_at.values()], -1) if flown_at else torch.zeros(count, 0)
+        rows = (columns[name].tolist() for name in ("outcome", "return_", "length"))
+        self.recent.extend(zip(*rows, map(tuple, levels.tolist()), strict=True))
+        columns["difficulty"] = levels.mean(-1) if self.names else torch.ones(count)
+        parts = columns | {"difficulties": TensorDict(flown_at, batch_size=[count])}
+        self._finished.append(TensorDict(parts, batch_size=[count]))

@@ -73,7 +73,8 @@ class FlightLog:
         step[REWARD_TERMS] = out.reward_terms
         for key in (keys.REWARD, keys.TERMINATED, keys.TRUNCATED):
             step[key] = getattr(out, key[0])
-        self.statistics.step(len(self.steps), out, self.scene, {})
+        rows = out.done[:, 0].nonzero()[:, 0]
+        self.statistics.step(len(self.steps), out, rows, self.scene, {})
         number = self.first_step + len(self.steps)
         if self.routes is not None:
             self.routes.step(number, before, flying & ~out.done)

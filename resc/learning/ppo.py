@@ -175,9 +175,10 @@ class Ppo(Algorithm):
         """
         following, value = cast(TensorDict, batch["next"]), cast(Tensor, batch["state_value"])
         next_value = torch.cat((value[1:], self._value_of(following[-1:])))
-        for t, done in enumerate(following["done"][..., 0]):
-            if done.any():
-                next_value[t, done] = self._value_of(cast(TensorDict, following[t, done]))
+        done = cast(Tensor, following["done"])[..., 0]
+        if done.any():
+            seen = following.select(OBSERVATION, OBSERVATION_CRITIC, strict=False)
+            next_value[done] = self._value_of(cast(TensorDict, seen[done]))
         advantage, target = generalized_advantage_estimate(
             self.gamma,
             self.gae_lambda,

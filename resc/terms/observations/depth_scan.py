@@ -91,9 +91,7 @@ class DepthScan(MapObservation):
         *maps, unit = maps_and_draws
         direction = fan(heading(attitude).unsqueeze(1), self.turn)
         length = torch.full_like(position[:, :1], self.range_m)
-        reach, hit = rays(
-            self.field(*maps), position[:, :2], direction, length, self.range_m, self.surface
-        )
+        reach, hit = rays(self.field(*maps), position[:, :2], direction, length, self.surface)
         reach, hit = reach[:, 0], hit[:, 0]
         return self.read(torch.where(hit, reach, self.range_m), unit)
 

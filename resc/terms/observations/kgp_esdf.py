@@ -77,11 +77,10 @@ class KgpEsdf(MapObservation):
         reach = reach.clamp(max=self.longest_guide_m)
         radius = torch.stack((reach, torch.full_like(reach, CONTROL_POINT_RADIUS_M)), -1)
         guides = torch.stack((to_velocity, to_point), 1)[..., :2]
-        longest_m = max(self.longest_guide_m, CONTROL_POINT_RADIUS_M)
         measured = to_velocity if self.free_distance == "velocity" else to_point
         return torch.cat(
             (
-                guided(field, here, guides, radius, longest_m).flatten(1),
+                guided(field, here, guides, radius).flatten(1),
                 free_distance(field, here, measured[:, :2], FREE_RANGE_M).unsqueeze(-1),
             ),
             -1,

@@ -47,12 +47,12 @@ class KgpEsdfPair(MapObservation):
         second = torch.where(apart < SAME_POINT_M, first, second)
         guides = torch.stack((first, second), 1)[..., :2]
         radius = torch.full_like(guides[..., 0], CONTROL_POINT_RADIUS_M)
-        edges = guided(field, here, guides, radius, CONTROL_POINT_RADIUS_M)
+        edges = guided(field, here, guides, radius)
         speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
         along = torch.where(speed > RESTING_MPS, velocity, first)[:, :2]
         headings = toward(torch.cat((guides, along.unsqueeze(1)), 1)).unsqueeze(1)
         length = torch.full_like(radius[:, :1], FREE_RANGE_M)
-        free, _ = rays(field, here, headings, length, FREE_RANGE_M)
+        free, _ = rays(field, here, headings, length)
         points = torch.cat((edges, free[:, 0, :2].unsqueeze(-1)), -1)
         return torch.cat((points.flatten(1), free[:, 0, 2:]), -1)
 

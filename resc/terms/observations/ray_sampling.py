@@ -61,7 +61,7 @@ class RaySampling(MapObservation):
         middle = toward((control_points[:, :1] - position.unsqueeze(1))[..., :2])
         direction = fan(middle, self.turn)  # [n, 1, b, 2]
         length = torch.full_like(position[:, :1], self.range_m)
-        reach, _ = rays(self.field(*maps), position[:, :2], direction, length, self.range_m)
+        reach, _ = rays(self.field(*maps), position[:, :2], direction, length)
         return (direction * reach.unsqueeze(-1)).flatten(1)
 
     def sights(self, numbers: Float[Tensor, "t c"], pose: Pose) -> list[Shape]:

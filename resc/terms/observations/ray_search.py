@@ -81,7 +81,7 @@ class RaySearch(MapObservation):
         far = torch.linalg.vector_norm(offset, dim=-1)
         length = far.clamp(SHORTEST_STEP_M, self.range_m)
         direction = fan(toward(offset), self.turn)  # [n, 2, b, 2]
-        reach, blocked = rays(self.field(*maps), position[:, :2], direction, length, self.range_m)
+        reach, blocked = rays(self.field(*maps), position[:, :2], direction, length)
         chosen = _chosen_rays(blocked).unsqueeze(-1).expand(-1, -1, -1, 2)
         ends = (direction * reach.unsqueeze(-1)).gather(2, chosen)
         left, right, through = ends.unbind(2)
