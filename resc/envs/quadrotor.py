@@ -9,6 +9,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, TransformedEnv
 
 from resc import keys
+from resc.cuda_graph import CudaGraph
 from resc.envs.calls import bad_action, blamed, require_action, require_measured, require_rows
 from resc.envs.stages import Stages, StepOutput, World
 from resc.envs.trial import check_terms
@@ -34,8 +35,8 @@ class QuadrotorEnv(EnvBase):
         num_envs: Batch size.
         seed: Seed of every drawing term.
         device: Where the tensors live.
-        compiled: Whether the step and the reset are compiled; the numbers agree to rounding.
-            (TorchRL keeps the argument name `compile` for itself.)
+        compiled: Whether the step and the reset are compiled, and on a GPU replayed as graphs; the
+            numbers agree to rounding. (TorchRL keeps the argument name `compile` for itself.)
         in_order: Resets walk through the pool, row i starting at entry i, instead of drawing
             entries: for evaluation.
         closed: Entries of the pool, next in turn for renewal, that no episode starts in.
@@ -79,6 +80,10 @@ class QuadrotorEnv(EnvBase):
             self._restart_function = torch.compile(
                 self._restart_rows, fullgraph=True, dynamic=False
             )
+        self.graphed = compiled and self.device.type == "cuda" and not stages.waits
+        if self.graphed:
+            self._step_graph = CudaGraph(self._step_in_place)
+            self._restart_graph = CudaGraph(self._restart_in_place)
         if tried:
             check_terms(self.stages, pool)
         self.difficulties = {
@@ -86,6 +91,7 @@ class QuadrotorEnv(EnvBase):
         }
         self.scene_difficulty = 1.0
         self._world: World = {}
+        self.before: World = {}
         own, critic = stages.widths
         self.observation = torch.zeros(num_envs, own, device=self.device)
         self.observation_critic = torch.zeros(num_envs, critic, device=self.device)
@@ -104,7 +110,7 @@ class QuadrotorEnv(EnvBase):
 
     @world.setter
     def world(self, value: TensorDictBase) -> None:
-        self._world = {key: value[key].clone() for key in self.stages.persistent}
+        self._take({key: value[key] for key in self.stages.persistent})
 
     @property
     def tensors(self) -> World:
@@ -130,6 +136,9 @@ class QuadrotorEnv(EnvBase):
     def advance(self, action: Tensor) -> StepOutput:
         """One control step of all environments; rows that are done wait for `restart`.
 
+        `before` is then the world before it. On a GPU, where the step is a graph, the next step
+        writes over that and over what is returned.
+
         Args:
             action: float32 [n, a] on the environment's device, clipped to [-1, 1].
 
@@ -145,13 +154,11 @@ class QuadrotorEnv(EnvBase):
             raise bad_action(action, self.observation, self._world[keys.CLOCK], columns)
         drawn = self._draw(self.step_draws, self.num_envs)
         try:
-            world, out = self._step_function(self._world, self.pool.shared, action, drawn)
+            out = self._fly(action, drawn)
         except Exception as error:  # what a term of one's own raises is told with its name
             raise blamed(error, f"step {self.steps_taken + 1}") from error
-        self._world = _separate(world)
         if self.stages.devices:
             require_measured(self.stages.devices, self._world)
-        self.observation, self.observation_critic = out.observation, out.observation_critic
         self.steps_taken += 1
         return out
 
@@ -168,25 +175,18 @@ class QuadrotorEnv(EnvBase):
             self._allocate()
         if not len(rows):
             return self.observation
-        # A copy: the caller keeps the last observation of the episode. Strides are always the same,
-        # of an empty part too, so that nothing is compiled twice.
-        own, critic = self.observation, self.observation_critic
-        self.observation = own.clone(memory_format=torch.contiguous_format)
-        self.observation_critic = critic.clone(memory_format=torch.contiguous_format)
+        if not self.graphed:
+            # A copy: the caller keeps the last observation of the episode. Strides are always the
+            # same, of an empty part too, so that nothing is compiled twice.
+            own, critic = self.observation, self.observation_critic
+            self.observation = own.clone(memory_format=torch.contiguous_format)
+            self.observation_critic = critic.clone(memory_format=torch.contiguous_format)
         for part in rows.split(self.chunk):
             filled = torch.arange(self.chunk).clamp(max=len(part) - 1)
             where = torch.stack((part, self._entries(part)))[:, filled].to(self.device)
             drawn = self._draw(self.draws, len(part), filled)
-            self._restart_function(
-                self._world,
-                (self.observation, self.observation_critic),
-                where[0],
-                where[1].unsqueeze(-1),
-                self.pool.tasks,
-                self.pool.shared,
-                drawn,
-                self.difficulties,
-            )
+            restart = self._restart_graph if self.graphed else self._restart_in_place
+            restart(*where, *drawn.values())
         return self.observation
 
     @torch.no_grad()
@@ -202,9 +202,18 @@ class QuadrotorEnv(EnvBase):
         begun = self._world | given
         if self.stages.terms.sensing and not given.keys() & keys.KNOWN_MAP:
             begun |= self.stages.look_again(begun, self.pool.shared)
-        self._world, seen = self.stages.begin(begun, self.pool.shared, drawn)
-        self.observation, self.observation_critic = seen.split(self.stages.widths, -1)
+        world, seen = self.stages.begin(begun, self.pool.shared, drawn)
+        self._take(world)
+        self.show(*seen.split(self.stages.widths, -1))
         return self.observation
+
+    def show(self, own: Tensor, critic: Tensor) -> None:
+        """Makes this what is observed: what the policy [n, width] and the value function see."""
+        if self.graphed:
+            self.observation.copy_(own)
+            self.observation_critic.copy_(critic)
+        else:
+            self.observation, self.observation_critic = own, critic
 
     def renew(self, count: int) -> Tensor:
         """Renews `count` scenes of the pool; returns the rows still flying in them [k].
@@ -264,6 +273,45 @@ class QuadrotorEnv(EnvBase):
         unit = torch.rand(len(rows), generator=self.generators["scene"])
         return self.pool.entry(unit, self.closed, self.scene_difficulty)
 
+    def _fly(self, action: Tensor, drawn: dict[str, Tensor]) -> StepOutput:
+        if self.graphed:
+            return self._step_graph(action, *drawn.values())
+        self.before = self._world
+        world, out = self._step_function(self._world, self.pool.shared, action, drawn)
+        self._world = _separate(world)
+        self.show(out.observation, out.observation_critic)
+        return out
+
+    def _step_in_place(self, action: Tensor, *drawn: Tensor) -> StepOutput:
+        """The step as it is captured: the worlds before and after it stay where they are."""
+        _copy(self._world, self.before)
+        blocks = dict(zip(self.step_draws, drawn, strict=True))
+        world, out = self._step_function(self.before, self.pool.shared, action, blocks)
+        _copy(world, self._world)
+        self.show(out.observation, out.observation_critic)
+        return out
+
+    def _restart_in_place(self, rows: Tensor, entry: Tensor, *drawn: Tensor) -> None:
+        self._restart_function(
+            self._world,
+            (self.observation, self.observation_critic),
+            rows,
+            entry.unsqueeze(-1),
+            self.pool.tasks,
+            self.pool.shared,
+            dict(zip(self.draws, drawn, strict=True)),
+            self.difficulties,
+        )
+
+    def _take(self, world: World) -> None:
+        """Makes this the world, which a graph finds where it was captured."""
+        if self.graphed and self._world:
+            _copy(world, self._world)
+            return
+        self._world = {key: world[key].clone() for key in self.stages.persistent}
+        if self.graphed:
+            self.before = {key: value.clone() for key, value in self._world.items()}
+
     def _restart_rows(
         self,
         world: World,
@@ -290,9 +338,9 @@ class QuadrotorEnv(EnvBase):
         fresh, _ = self.stages.restart(
             self.pool.tasks, entry, self.pool.shared, drawn, self.difficulties
         )
-        self._world = {
-            key: value.new_zeros(self.num_envs, *value.shape[1:]) for key, value in fresh.items()
-        }
+        self._take(
+            {key: value.new_zeros(self.num_envs, *value.shape[1:]) for key, value in fresh.items()}
+        )
 
     def _require_reset(self) -> None:
         if not self._world:
@@ -349,6 +397,8 @@ class QuadrotorEnv(EnvBase):
         if "action" not in tensordict:
             raise CallError("The tensordict given to step has no 'action'; set one for every row.")
         out = self.advance(tensordict["action"])
+        if self.graphed:
+            out = StepOutput(*(tensor.clone() for tensor in out))
         return TensorDict(
             {
                 "observation": out.observation,
@@ -385,6 +435,11 @@ def _require_torch(stages: Stages) -> None:
             f"{', '.join(foreign)} cannot be compiled: it calls a simulator outside of torch; set "
             "compile=false, or choose another."
         )
+
+
+def _copy(world: World, there: World) -> None:
+    """Copies every tensor of a world to where another one is."""
+    torch._foreach_copy_([*there.values()], [world[key] for key in there])
 
 
 def _separate(world: World) -> World:

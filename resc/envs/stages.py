@@ -163,6 +163,11 @@ class Stages(nn.Module):
         return own, sum(term.width for term in self.terms.critic_observations)
 
     @property
+    def waits(self) -> bool:
+        """Whether a step asks for numbers of tensors on its way, as scans and searches do."""
+        return self.terms.sensing is not None or self.terms.replanning is not None
+
+    @property
     def reset_draws(self) -> dict[str, int]:
         """Widths of the uniform blocks drawn at every reset alone, by generator."""
         drawing = (*self.terms.randomizations, self.terms.initial_state)

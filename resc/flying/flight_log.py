@@ -68,7 +68,8 @@ class FlightLog:
             truncated=out.truncated & flying,
             done=out.done & flying,
         )
-        step = TensorDict({key: before[key] for key in self.state}, batch_size=[len(action)])
+        kept = {key: before[key].clone() for key in self.state}
+        step = TensorDict(kept, batch_size=[len(action)])
         step[keys.ACTION] = action
         step[REWARD_TERMS] = out.reward_terms
         for key in (keys.REWARD, keys.TERMINATED, keys.TRUNCATED):

@@ -10,10 +10,10 @@ from resc.envs.stages import StepOutput, World
 
 
 class Step(NamedTuple):
-    """One control step of all environments.
+    """One control step of all environments, which the next may write over.
 
     Args:
-        before: The world before it, until rows restart.
+        before: The world before it.
         action: What was done.
         out: What came of it.
     """
@@ -29,5 +29,5 @@ def flown(env: QuadrotorEnv, actions: Iterable[Tensor]) -> Iterator[Step]:
     Each is asked for when the step before it is over, so it may depend on what came of that.
     """
     for action in actions:
-        before = env.tensors
-        yield Step(before, action, env.advance(action))
+        out = env.advance(action)
+        yield Step(env.before, action, out)

@@ -71,6 +71,5 @@ def _take(content: Mapping[str, Any], trainer: Trainer) -> None:
     trainer.curricula.load_state(content["curricula"])
     world = {tuple(name.split("/")): value for name, value in content["world"].items()}
     env.world = TensorDict(world, batch_size=[env.num_envs], device=env.device)
-    env.observation = content["observation"].to(env.device)
-    env.observation_critic = content["observation_critic"].to(env.device)
+    env.show(*(content[name].to(env.device) for name in ("observation", "observation_critic")))
     env.load_generator_states({name: state.cpu() for name, state in content["generators"].items()})
