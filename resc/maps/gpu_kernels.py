@@ -6,7 +6,6 @@ one warp per environment, guide and side, which sweeps its sector in fans of `LA
 interpreter runs both on the CPU, which is how they are tested where there is no GPU.
 """
 
-import math
 from typing import no_type_check
 
 import torch
@@ -235,7 +234,7 @@ def guided(
     _guided[(2 * radius.numel(),)](
         *(tensor.contiguous() for tensor in given), result,
         radius.shape[1], height * width, height, width, resolution, 1.0 / resolution,
-        *(limit if math.isfinite(limit) else torch.finfo(here.dtype).max for limit in limits),
+        *limits,
         lanes=LANES, num_warps=1,
     )  # fmt: skip
     return result

@@ -61,7 +61,7 @@ def free_distance(
 def toward(offset: Float[Tensor, "*n 2"]) -> Float[Tensor, "*n 2"]:
     """The unit vector along `offset`; along x if that is zero."""
     length = torch.linalg.vector_norm(offset, dim=-1, keepdim=True)
-    along_x = torch.tensor([1.0, 0.0], dtype=offset.dtype, device=offset.device)
+    along_x = torch.cat((torch.ones_like(length), torch.zeros_like(length)), -1)
     return torch.where(length > 0, offset / torch.where(length > 0, length, 1.0), along_x)
 
 
