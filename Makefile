@@ -12,7 +12,7 @@ EXTRAS := dev benchmark bound dataframes estimation link maps optuna px4 simulat
 NODE_PACKAGES := @mcap/core@2.2.2 @mcap/support@1.1.0 protobufjs@8.8.1
 RERUN := rerun-sdk==0.41.0
 
-.PHONY: demo train reproduce test readers check check-format check-lint check-types format lock clean help
+.PHONY: demo train reproduce test gpu readers check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
 
 demo: $(STAMP) ## Fly the shipped policy through the default scene.
@@ -27,6 +27,10 @@ reproduce: $(STAMP) ## Train the default policy anew and compare it with the sto
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
 	$(PY) -m pytest -n auto --maxprocesses 4 --dist worksteal $(ARGS)
+
+gpu: $(STAMP) ## Check on a GPU what can only be checked there, and measure it: under five minutes.
+	$(PY) -m pytest -q -m gpu
+	$(PY) -m benchmarks.gpu
 
 readers: $(STAMP) ## Install Rerun and the MCAP reader of web viewers (needs npm), read recordings with them.
 	npm install --silent --no-audit --no-fund --prefix .cache/node $(NODE_PACKAGES)

@@ -14,6 +14,7 @@ pytestmark = [
 
 SMALL = [
     "device=cuda",
+    "compile=true",
     "num_envs=64",
     "pool_size=32",
     "renew_scenes=2",
@@ -23,14 +24,10 @@ SMALL = [
 
 
 def trainer_of(compose, *, graphed):
-    """A trainer on the GPU, whose graphs can be replaced by the functions that they hold."""
+    """A trainer on the GPU, of an environment that replays graphs or calls what they hold."""
     trainer = TrainingRun(compose(*SMALL)).trainer()
-    if not graphed:
-        trainer.env.graphed = False
-        algorithm = trainer.algorithm
-        algorithm._act, algorithm._learn_some = (
-            graph.function for graph in (algorithm._act, algorithm._learn_some)
-        )
+    assert trainer.env.graphed
+    trainer.env.graphed = graphed
     return trainer
 
 
@@ -66,7 +63,7 @@ def test_a_replayed_step_and_restart_equal_the_compiled_ones_over_changing_input
             assert torch.equal(with_graphs.tensors[key], without.tensors[key]), key
 
 
-def test_training_by_graphs_learns_the_same(compose):
+def test_training_in_a_graphed_environment_learns_the_same(compose):
     with_graphs, without = (trainer_of(compose, graphed=graphed) for graphed in (True, False))
     for _ in range(4):
         torch.testing.assert_close(with_graphs.iterate(), without.iterate(), rtol=1e-3, atol=1e-5)

@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from torchrl.modules import set_recurrent_mode
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
-from resc.cuda_graph import CudaGraph
 from resc.errors import ConfigError, NumericalError
 from resc.learning.algorithm import Algorithm, LearningContext
 from resc.math.sampling import generator_for
@@ -89,23 +88,17 @@ class Ppo(Algorithm):
         self.init_from_std = init_from_std
         self._check()
         self.networks = self._make_networks(initial_std).to(context.device)
-        self._held: Tensor | TensorDict = torch.zeros(0)
-        self._rate = torch.zeros((), device=context.device)
         self._weights = [p for p in self.parameters if p.requires_grad]
         self.optimizer = torch.optim.Adam(self._weights, lr=learning_rate, eps=1e-5, fused=True)
         self.noise = generator_for(context.seed, "exploration", context.device)
         self.order = generator_for(context.seed, "minibatches", context.device)
         self._act: Callable[..., Figures] = self._act_eagerly
         self._losses: Callable[[Any], Figures] = self._losses_of_samples
-        self._learn_some: Callable[[Tensor], Tensor] = self._learn_from
-        self.graphed = context.compile and self.noise.device.type == "cuda" and not self.remembers
         if self.remembers:
             self._losses = self._losses_of_sequences
         elif context.compile:
             self._act = torch.compile(self._act_eagerly, fullgraph=True, dynamic=False)
             self._losses = torch.compile(self._losses_of_samples, dynamic=False)
-        if self.graphed:
-            self._act, self._learn_some = CudaGraph(self._act), CudaGraph(self._learn_from)
 
     @property
     def remembers(self) -> bool:
@@ -144,18 +137,19 @@ class Ppo(Algorithm):
     def update(self, batch: TensorDict) -> dict[str, float]:
         """`epochs` passes of clipped policy and value gradient steps over the batch."""
         rate = self._learning_rate()
-        self._set_rate(rate)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
         with torch.no_grad():
             batch = batch.copy().update(self.estimate_advantages(batch))
-            self._hold(self._sequences(batch) if self.remembers else self._samples(batch))
+            samples = self._sequences(batch) if self.remembers else self._samples(batch)
         size = self.minibatch // self.steps if self.remembers else self.minibatch
-        total = len(self._held)
+        whole = len(samples) // size * size
         sums = torch.zeros(5, device=batch.device)
         count = 0
         for _ in range(self.epochs):
-            order = torch.randperm(total, generator=self.order, device=self.order.device)
-            for rows in order[: total // size * size].split(size):
-                sums += self._learn_some(rows)
+            order = torch.randperm(len(samples), generator=self.order, device=self.order.device)
+            for minibatch in samples[order[:whole]].split(size):
+                sums += self._gradient_step(minibatch)
                 count += 1
             if self.target_kl and float(sums[3] / count) > self.target_kl:
                 break
@@ -258,23 +252,8 @@ class Ppo(Algorithm):
         names += ["advantage", "value_target"]
         return batch.select(*names, strict=False).transpose(0, 1).contiguous()
 
-    def _hold(self, samples: Tensor | TensorDict) -> None:
-        """Keeps what is learned from next: for a graph, where it found the last."""
-        if self.graphed and len(self._held):
-            cast(Tensor, self._held).copy_(cast(Tensor, samples))
-        else:
-            self._held = samples
-
-    def _set_rate(self, rate: float) -> None:
-        """Sets the learning rate; a graph reads it from a tensor."""
-        self._rate.fill_(rate)
-        for group in self.optimizer.param_groups:
-            group["lr"] = self._rate if self.graphed else rate
-            group["capturable"] = self.graphed
-
-    def _learn_from(self, rows: Tensor) -> Tensor:
-        """A gradient step from some rows of what is held; returns figures of their losses."""
-        loss, *figures = self._losses(self._held[rows])
+    def _gradient_step(self, minibatch: Tensor | TensorDict) -> Tensor:
+        loss, *figures = self._losses(minibatch)
         loss.backward()
         nn.utils.clip_grad_norm_(self._weights, self.max_grad_norm, foreach=True)
         self.optimizer.step()

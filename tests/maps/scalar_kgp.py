@@ -22,21 +22,28 @@ class Map:
     """
 
     def __init__(
-        self, rows, origin=(0.0, 0.0), truncation=math.inf, occupied=OCCUPIED, margin=MARGIN
+        self,
+        rows,
+        origin=(0.0, 0.0),
+        truncation=math.inf,
+        occupied=OCCUPIED,
+        margin=MARGIN,
+        resolution=RESOLUTION,
     ):
+        self.resolution = resolution
         self.rows, self.origin, self.truncation = rows, origin, truncation
         self.limit, self.margin, self.slack = occupied, margin, 0.0
         self.height, self.width = len(rows), len(rows[0])
 
     def esdf(self, q):
-        column = int((q[0] - self.origin[0]) / RESOLUTION)
-        row = int((q[1] - self.origin[1]) / RESOLUTION)
+        column = int((q[0] - self.origin[0]) / self.resolution)
+        row = int((q[1] - self.origin[1]) / self.resolution)
         stored = self.rows[min(max(row, 0), self.height - 1)][min(max(column, 0), self.width - 1)]
         return min(stored, self.truncation)
 
     def holds(self, q):
         x, y = q[0] - self.origin[0], q[1] - self.origin[1]
-        return 0 <= x < self.width * RESOLUTION and 0 <= y < self.height * RESOLUTION
+        return 0 <= x < self.width * self.resolution and 0 <= y < self.height * self.resolution
 
     def occupied(self, q):
         return self.esdf(q) < self.limit
@@ -104,7 +111,8 @@ def sweep(field, p, radius, toward, side, guide_hit, gap):
 def corner(field, p, target, hit, *, nearest):
     """The corner of the cell hit with the least or greatest angle to the guide, relative to p."""
     west, south = (
-        math.floor((hit[i] - field.origin[i]) / RESOLUTION) * RESOLUTION + field.origin[i]
+        math.floor((hit[i] - field.origin[i]) / field.resolution) * field.resolution
+        + field.origin[i]
         for i in (0, 1)
     )
     corners = [
