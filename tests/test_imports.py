@@ -6,7 +6,16 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
     {"errors", "keys", "moved", "places"},
-    {"console", "math", "process", "quantities", "run_folder", "sights", "command_line"},
+    {
+        "console",
+        "cuda_graph",
+        "math",
+        "process",
+        "quantities",
+        "run_folder",
+        "sights",
+        "command_line",
+    },
     {"term", "sweep_folder"},
     {"groups"},
     {"schema"},

@@ -6,6 +6,9 @@ one warp per environment, guide and side, which sweeps its sector in fans of `LA
 interpreter runs both on the CPU, which is how they are tested where there is no GPU.
 """
 
+# A launch takes more arguments than the kernel has, which Triton's annotations do not know:
+# pyright: reportCallIssue=false
+
 from typing import no_type_check
 
 import torch
