@@ -9,7 +9,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, TransformedEnv
 
 from resc import keys
-from resc.cuda_graph import CudaGraph
+from resc.cuda_graph import CudaGraph, copy_each
 from resc.envs.calls import bad_action, blamed, require_action, require_measured, require_rows
 from resc.envs.stages import Stages, StepOutput, World
 from resc.envs.trial import check_terms
@@ -202,8 +202,8 @@ class QuadrotorEnv(EnvBase):
         begun = self._world | given
         if self.stages.terms.sensing and not given.keys() & keys.KNOWN_MAP:
             begun |= self.stages.look_again(begun, self.pool.shared)
-        world, seen = self.stages.begin(begun, self.pool.shared, drawn)
-        self._take(world)
+        as_begun, seen = self.stages.begin(begun, self.pool.shared, drawn)
+        self._take(as_begun)
         self.show(*seen.split(self.stages.widths, -1))
         return self.observation
 
@@ -439,7 +439,7 @@ def _require_torch(stages: Stages) -> None:
 
 def _copy(world: World, there: World) -> None:
     """Copies every tensor of a world to where another one is."""
-    torch._foreach_copy_([*there.values()], [world[key] for key in there])
+    copy_each([world[key] for key in there], there.values())
 
 
 def _separate(world: World) -> World:

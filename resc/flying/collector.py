@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from resc import keys
+from resc.cuda_graph import copy_each
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import StepOutput, World
 from resc.errors import ConfigError, NumericalError
@@ -186,7 +187,7 @@ class Collector:
     def _write(self, t: int, values: World) -> None:
         """Copies what belongs to a step of the batch there, all in one call."""
         there = self._steps[t]
-        torch._foreach_copy_([there[key] for key in values], [*values.values()])
+        copy_each(values.values(), [there[key] for key in values])
 
     def _go_on(self, chosen: TensorDict) -> None:
         self._began = torch.zeros_like(self._began)
