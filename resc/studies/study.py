@@ -239,9 +239,9 @@ def _read_curve(path: Path) -> Columns:
 def _require_one_task(sweep: Sweep) -> None:
     """Raises ConfigError unless all finished runs flew the same held-out episodes."""
     first, *others = sweep.finished()
-    ours = _task_of(sweep.folder / str(first.number))
+    ours = _stored_task(sweep.folder / str(first.number))
     for run in others:
-        theirs = _task_of(sweep.folder / str(run.number))
+        theirs = _stored_task(sweep.folder / str(run.number))
         differ = [name for name in ours if ours[name] != theirs[name]]
         if not differ and not _same_scenes(first, run):
             differ = ["scenes"]
@@ -283,13 +283,24 @@ def _same_scenes(one: Run, other: Run) -> bool:
     return all(np.array_equal(one.episodes[name], other.episodes[name]) for name in names)
 
 
-def _task_of(folder: Path) -> dict[str, Any]:
-    """What a run's held-out episodes are, as plain data."""
-    rules: Mapping[str, Any] = TrainingRun(load_config(folder / CONFIG)).held_out
+def _stored_task(folder: Path) -> dict[str, Any]:
+    try:
+        return task_of(load_config(folder / CONFIG))
+    except ConfigError as error:
+        raise ConfigError(f"{folder / CONFIG}: {error}; restore the file from its run.") from None
+
+
+def task_of(config: DictConfig) -> dict[str, Any]:
+    """What a run's held-out episodes are, as plain data.
+
+    Raises:
+        ConfigError: `env` is no part.
+    """
+    rules: Mapping[str, Any] = TrainingRun(config).held_out
     task = {name: _plain(rules.get(name)) for name in TASK}
     env = task["env"]
     if not isinstance(env, dict):
-        raise ConfigError(f"{folder / CONFIG}: env is {env!r}; restore the file from its run.")
+        raise ConfigError(f"env is {env!r}")
     task["env"] = {k: v for k, v in env.items() if k not in OWN_ENV}
     return task | {name: rules.get(name) for name in ("evaluation_seed", "evaluation_episodes")}
 
