@@ -48,7 +48,7 @@ NO_MATTER = (*RESUMABLE, "resume", "recorder", "logger")
 """Settings that change nothing about what is learned."""
 
 
-def check_settings(config: Mapping[str, Any], schema: type[RunSchema | ExportSchema]) -> None:
+def check_settings(config: Mapping[str, Any], schema: type[RunSchema] | type[ExportSchema]) -> None:
     """Refuses names that no run has, and numbers that no run can have.
 
     Raises:

@@ -1,6 +1,8 @@
-"""A policy as plain layers, and the files that hold them: ONNX, torch.export and C."""
+"""A policy as plain layers, and the files that hold them: ONNX and torch.export.
 
-import itertools
+What is traced has no shapes in its signatures: of a batch of any size there is no number to check.
+"""
+
 import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,7 +10,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import torch
-from jaxtyping import Float
 from torch import Tensor, nn
 from torch.export import ExportedProgram
 from torchrl.modules import GRUModule, IndependentNormal, TanhDelta, TanhNormal
@@ -43,8 +44,8 @@ class Normalization(nn.Module):
         self.register_buffer("mean", seen.mean.float())
         self.register_buffer("inverse_std", (seen.variance + EPSILON).rsqrt().float())
 
-    def forward(self, observation: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
-        """The observation, normalised."""
+    def forward(self, observation: Tensor) -> Tensor:
+        """The observation [n, d], normalised."""
         return ((observation - self.mean) * self.inverse_std).clamp(-BOUND, BOUND)
 
 
@@ -59,8 +60,8 @@ class First(nn.Module):
         super().__init__()
         self.width = width
 
-    def forward(self, features: Float[Tensor, "n b"]) -> Float[Tensor, "n a"]:
-        """Without the columns that follow."""
+    def forward(self, features: Tensor) -> Tensor:
+        """Columns [n, a] of features [n, b]."""
         return features[:, : self.width]
 
 
@@ -85,9 +86,9 @@ class PlainPolicy(nn.Module):
         self.state_width = policy.state_width
 
     def forward(
-        self, observation: Float[Tensor, "n d"], state: Float[Tensor, "n m"] | None = None
-    ) -> Float[Tensor, "n a"] | tuple[Float[Tensor, "n a"], Float[Tensor, "n m"]]:
-        """The action and, of one that remembers, the next state."""
+        self, observation: Tensor, state: Tensor | None = None
+    ) -> Tensor | tuple[Tensor, Tensor | None]:
+        """The action [n, a] for observations [n, d] and, of one that remembers, the next state."""
         value = observation
         for layer in self.layers:
             if isinstance(layer, nn.GRUCell):
@@ -120,7 +121,7 @@ def _layers(policy: Policy) -> Iterator[nn.Module]:
         raise _cannot("algorithm", head, "one with the distribution of Gaussian or TanhGaussian")
     yield from _flat(policy.normalization)
     carried = NORMALIZED
-    for module in itertools.islice(policy, 1, len(policy) - 2):
+    for module in (policy[number] for number in range(1, len(policy) - 2)):
         keys = list(module.in_keys)
         if isinstance(module, GRUModule):
             yield _cell(module.gru)
@@ -214,6 +215,7 @@ def write_onnx(
             f"model: a layer of the policy has no form in ONNX ({error.__cause__}); leave out the "
             "file: files=[pt2,h]."
         ) from error
+    assert made is not None
     model = made.model_proto
     model.producer_name = "resc"
     onnx.helper.set_model_props(model, {name: json.dumps(value) for name, value in facts.items()})
