@@ -50,11 +50,11 @@ def runs(folder: Path, stored_in: Path) -> dict[str, tuple[Run, int]]:
     rows = np.random.default_rng(0).standard_normal((IN_C, plain.observation_width), np.float32)
     state = np.zeros((IN_C, max(1, plain.state_width)), np.float32)
     action = np.empty((IN_C, plain.action_width), np.float32)
-    given = (rows.ctypes.data, state.ctypes.data, action.ctypes.data, IN_C)
+    arrays = (rows, state, action)
     remembered = [example.unsqueeze(1) for example in examples[1:]]
     return {
         "onnxruntime": (lambda: session.run(None, named), 1),
-        "C": (lambda: act(*given), IN_C),
+        "C": (lambda: act(*(array.ctypes.data for array in arrays), IN_C), IN_C),
         "torch, plain layers": (lambda: plain(*examples), 1),
         "torch.export": (lambda: program(*examples), 1),
         POLICY: (lambda: policy.decide(examples[0], *remembered), 1),
