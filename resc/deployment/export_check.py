@@ -28,6 +28,7 @@ GREATEST = 1e-5
 """Largest deviation of an action or of a state."""
 SPREAD = 3.0
 """Of the observations that are drawn, in standard deviations of those seen in training."""
+COMPILING_S = 300
 SOURCE = """\
 #include "policy.h"
 void act(const float *observation, float *state, float *action, int rows) {
@@ -170,6 +171,7 @@ def compiled(path: Path) -> Any:  # noqa: ANN401 - a function of a library
                 check=True,
                 capture_output=True,
                 text=True,
+                timeout=COMPILING_S,
             )
         except FileNotFoundError:
             raise ConfigError(

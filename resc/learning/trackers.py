@@ -107,7 +107,8 @@ class WandbLogger(Tracker):
         self.project = project
         self.mode = mode
         if mode == "online" and not self.library.login(prompt=False):
-            _say(f"no key of wandb is set, so the run is kept in {folder / 'wandb'}", "wandb sync")
+            kept = folder / "wandb"
+            _say(f"no key of wandb is set, so the run is kept in {kept}; `wandb sync` sends it.")
             self.mode = "offline"
 
     @cached_property
@@ -176,7 +177,7 @@ class MlflowLogger(Tracker):
                 raise ConfigError(
                     f"logger: {local} cannot be used ({_line(error)}); move it away."
                 ) from None
-            _say(f"{self.uri} refuses ({_line(error)}), so the run is kept in {local}", "mlflow ui")
+            _say(f"{self.uri} refuses ({_line(error)}), so the run is kept in {local}.")
             return self._begun(local)
 
     def _begun(self, uri: str) -> tuple[Any, str]:
@@ -201,7 +202,7 @@ class MlflowLogger(Tracker):
             client.log_batch(identity, metrics=metrics)
         except self.library.exceptions.MlflowException as error:
             if not self.lost:
-                _say(f"MLflow takes no figures any more ({_line(error)})", "progress.csv")
+                _say(f"MLflow takes no figures ({_line(error)}); progress.csv holds them.")
             self.lost = True
 
     def attach(self, summary: Mapping[str, float]) -> None:
@@ -238,7 +239,7 @@ class TrackioLogger(Tracker):
         self.project = project
         self.space = space
         if space and not _library("huggingface_hub").get_token():
-            _say(f"no token of Hugging Face is set, so {space} gets nothing", "trackio sync")
+            _say(f"no token of Hugging Face is set; `trackio sync` sends the run to {space} later.")
             self.space = None
 
     @cached_property
@@ -285,8 +286,8 @@ def _library(package: str) -> Any:  # noqa: ANN401
         ) from None
 
 
-def _say(fact: str, later: str) -> None:
-    print(f"logger: {fact}; {later} shows or sends it later.", flush=True)
+def _say(sentence: str) -> None:
+    print(f"logger: {sentence}", flush=True)
 
 
 def _line(error: Exception) -> str:

@@ -155,7 +155,9 @@ def program_of(folder):
     source = ROOT / "examples" / "cpp" / "fly_policy.cpp"
     assert len(source.read_text().splitlines()) <= 40
     program = folder / "fly_policy"
-    subprocess.run([CXX, "-std=c++11", *STRICT, f"-I{folder}", source, "-o", program], check=True)
+    subprocess.run(
+        [CXX, "-std=c++11", *STRICT, f"-I{folder}", source, "-o", program], check=True, timeout=100
+    )
     return program
 
 
@@ -169,7 +171,7 @@ def test_the_example_in_cpp_flies_as_the_policy_does(kind, request, tmp_path):
         for flight in flights
     )
     done = subprocess.run(
-        [program_of(tmp_path)], input=text, capture_output=True, text=True, check=True
+        [program_of(tmp_path)], input=text, capture_output=True, text=True, check=True, timeout=100
     )
     told = torch.tensor([[float(n) for n in line.split()] for line in done.stdout.splitlines()])
     action, command = told.view(2, 5, 8).split(4, -1)
@@ -184,7 +186,7 @@ def test_the_example_in_cpp_flies_as_the_policy_does(kind, request, tmp_path):
 def test_the_header_is_c99_without_a_warning(remembering, tmp_path):
     (tmp_path / "act.c").write_text(SOURCE)
     command = [CXX, "-x", "c", "-std=c99", *STRICT, f"-I{remembering[1]}", "-fsyntax-only"]
-    subprocess.run([*command, tmp_path / "act.c"], check=True)
+    subprocess.run([*command, tmp_path / "act.c"], check=True, timeout=100)
 
 
 def test_the_card_lists_the_numbers_in_order_with_units_frames_and_scales(made):
