@@ -42,7 +42,7 @@ class Logger(Protocol):
         """Takes the figures of a batch, at so many frames."""
         ...
 
-    def attach(self, summary: Mapping[str, float]) -> None:
+    def attach(self, summary: Mapping[str, float | int]) -> None:
         """Takes what a finished run has left in its folder, and its results."""
         ...
 
@@ -60,7 +60,7 @@ class CsvLogger:
     def log(self, figures: Mapping[str, float], frames: int) -> None:
         """progress.csv holds them already."""
 
-    def attach(self, summary: Mapping[str, float]) -> None:
+    def attach(self, summary: Mapping[str, float | int]) -> None:
         """The run's folder holds everything."""
 
     def close(self) -> None:
@@ -85,7 +85,7 @@ class TensorboardLogger:
         for name, value in figures.items():
             self.writer.add_scalar(name, value, frames)
 
-    def attach(self, summary: Mapping[str, float]) -> None:
+    def attach(self, summary: Mapping[str, float | int]) -> None:
         """The run's folder holds everything."""
 
     def close(self) -> None:

@@ -10,6 +10,7 @@ import os
 import time
 import uuid
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -131,7 +132,7 @@ class WandbLogger(Tracker):
         """Every figure, against frames: a resumed run goes back some."""
         self.connected.log({FRAMES: frames, **figures})
 
-    def attach(self, summary: Mapping[str, float]) -> None:
+    def attach(self, summary: Mapping[str, float | int]) -> None:
         """The results, and an artifact of files."""
         run = self.connected
         run.summary.update(dict(summary))
@@ -198,26 +199,34 @@ class MlflowLogger(Tracker):
         now_ms = int(time.time() * 1000)
         kind = self.library.entities.Metric
         metrics = [kind(name, float(value), now_ms, frames) for name, value in figures.items()]
-        try:
+        with self._sending():
             client.log_batch(identity, metrics=metrics)
-        except self.library.exceptions.MlflowException as error:
-            if not self.lost:
-                _say(f"MLflow takes no figures ({_line(error)}); progress.csv holds them.")
-            self.lost = True
 
-    def attach(self, summary: Mapping[str, float]) -> None:
+    def attach(self, summary: Mapping[str, float | int]) -> None:
         """The results, and files."""
         client, identity = self.connected
-        for name, value in summary.items():
-            client.log_metric(identity, name, float(value))
-        for path in self.left():
-            client.log_artifact(identity, str(path))
+        with self._sending():
+            for name, value in summary.items():
+                client.log_metric(identity, name, float(value))
+            for path in self.left():
+                client.log_artifact(identity, str(path))
 
     def close(self) -> None:
         """Says that the run is over."""
         if self.opened:
             client, identity = self.connected
-            client.set_terminated(identity)
+            with self._sending():
+                client.set_terminated(identity)
+
+    @contextmanager
+    def _sending(self) -> Iterator[None]:
+        """Says once that a server has stopped taking anything: no reason to stop training."""
+        try:
+            yield
+        except self.library.exceptions.MlflowException as error:
+            if not self.lost:
+                _say(f"MLflow takes no more ({_line(error)}); the run's folder holds everything.")
+            self.lost = True
 
 
 class TrackioLogger(Tracker):
@@ -260,7 +269,7 @@ class TrackioLogger(Tracker):
         """Every figure, against frames."""
         self.connected.log(dict(figures), step=frames)
 
-    def attach(self, summary: Mapping[str, float]) -> None:
+    def attach(self, summary: Mapping[str, float | int]) -> None:
         """The results, pictures, and an artifact of files."""
         run = self.connected
         pictures = {path.stem: self.library.Image(str(path)) for path in self.pictures()}
