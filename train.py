@@ -9,6 +9,7 @@ python train.py --cfg job                          look, do not run
 """
 
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import hydra
@@ -64,6 +65,7 @@ def run(training: TrainingRun, folder: Path) -> None:
     """Trains, flies held-out episodes, leaves policy, curve, recording, summary in the folder."""
     config = training.config
     prepare_process(config["threads"], config["device"])
+    logger = training.logger(folder)
     print(f"Laying out {config['pool_size']} scenes", flush=True)
     trainer = training.trainer()
     training.check_recorder(trainer)
@@ -74,9 +76,9 @@ def run(training: TrainingRun, folder: Path) -> None:
     OmegaConf.save(config, folder / CONFIG, resolve=True)
     note_origin(folder, training.overrides)
     link_latest(folder, "train")
-    with logged(folder / "train.log"):
+    with logged(folder / "train.log"), closing(logger):
         print(describe(trainer.env.stages), flush=True)
-        summary = train_and_save(trainer, training, folder)
+        summary = train_and_save(trainer, training, folder, logger)
         again = go_on(folder, config["allowed_targets"])
         if trainer.frames < config["total_frames"]:
             print(f"Stopped after {trainer.frames} frames. Go on with: {again}", file=sys.stderr)
@@ -88,6 +90,7 @@ def run(training: TrainingRun, folder: Path) -> None:
             raise
         summary |= flights.rates
         finish_run(folder, summary, "train")
+        logger.attach(flights.rates)
         print(f"{succeeded(summary)}. Results: {folder}")
 
 

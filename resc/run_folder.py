@@ -32,7 +32,7 @@ CLAIM = ".claim"
 OWNED = (CONFIG, CHECKPOINT, POLICY, PROGRESS, EPISODES, SUMMARY, ROLLOUTS, HELD_OUT)
 """What a second run in the same folder would overwrite or append to."""
 
-Kind = Literal["train", "sweep", "evaluation", "replay", "bound", "transfer", "flight"]
+Kind = Literal["train", "sweep", "evaluation", "replay", "bound", "transfer", "flight", "export"]
 
 
 @functools.cache

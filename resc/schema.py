@@ -169,6 +169,26 @@ class BoundSchema(RunSchema):
     missing: bool = False
 
 
+@dataclass
+class ExportSchema:
+    """What `python -m resc.deployment.export` needs.
+
+    Args:
+        name: Part of the folder's name.
+        policy: Folder of a shipped policy or of a finished training run; `latest` is the last one
+            that was trained.
+        files: Which to write: onnx, pt2, h.
+        seed: Of the observations that the files are compared with the policy on.
+        allowed_targets: Prefixes of `_target_` outside resc that may be built, e.g. [mypackage.].
+    """
+
+    name: str = "export"
+    policy: str = "policies/obstacles"
+    files: list[str] = field(default_factory=list)
+    seed: int = 0
+    allowed_targets: list[str] = field(default_factory=list)
+
+
 def folder_name(name: object) -> str:
     """The name of a run, as a part of its folder's name.
 
@@ -186,7 +206,7 @@ def folder_name(name: object) -> str:
 
 
 def register() -> None:
-    """Makes what train.yaml, evaluate.yaml, bound.yaml and fly.yaml refer to known to Hydra."""
+    """Makes what train.yaml, evaluate.yaml and the others refer to known to Hydra."""
     OmegaConf.register_new_resolver("new_folder", new_folder, replace=True)
     OmegaConf.register_new_resolver("folder_name", folder_name, replace=True)
     store_types()
@@ -199,3 +219,4 @@ def store_types() -> None:
     store.store(name="evaluate_schema", node=EvaluateSchema)
     store.store(name="bound_schema", node=BoundSchema)
     store.store(name="fly_schema", node=FlySchema)
+    store.store(name="export_schema", node=ExportSchema)

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc.errors import ConfigError, nearest
 from resc.groups import GROUPS, TASK
-from resc.schema import RunSchema, folder_name
+from resc.schema import ExportSchema, RunSchema, folder_name
 from resc.sweep_folder import go_on
 
 LARGEST_SEED = 2**63 - 1
@@ -48,7 +48,7 @@ NO_MATTER = (*RESUMABLE, "resume", "recorder", "logger")
 """Settings that change nothing about what is learned."""
 
 
-def check_settings(config: Mapping[str, Any], schema: type[RunSchema]) -> None:
+def check_settings(config: Mapping[str, Any], schema: type[RunSchema] | type[ExportSchema]) -> None:
     """Refuses names that no run has, and numbers that no run can have.
 
     Raises:

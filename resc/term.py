@@ -180,14 +180,39 @@ class Term(TensorDictModuleBase):
         return tensordict
 
 
+@dataclass(frozen=True)
+class Channel:
+    """What one number a of an action in [-1, 1] commands: offset + slope a.
+
+    Args:
+        name: What it commands.
+        unit: Of offset and slope.
+        frame: What it is seen in: `body`, `world`.
+        offset: Command at a = 0.
+        slope: Change of the command from a = 0 to a = 1.
+    """
+
+    name: str
+    unit: str
+    frame: str
+    offset: float
+    slope: float
+
+
 class Action(Term):
     """Turns the policy's output into a command.
 
-    `width` is the number of actions; a command waits for at most `longest_delay_steps`.
+    `width` is the number of actions; a command waits for at most `longest_delay_steps`. `channels`
+    say what each number commands, for policies that are exported.
     """
 
     width: ClassVar[int]
     longest_delay_steps: int = 0
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """One for each number; none where nobody has said."""
+        return ()
 
 
 class Sensor(Term):
@@ -284,6 +309,9 @@ class Observation(Term):
 
     The noise has a generator of its own, so that it leaves the draws of `compute` alone.
 
+    `units` are those of the raw values, one for all columns or one for each; `frame` is that of
+    columns which no run turns, such as `body`.
+
     Args:
         scale: Factor applied to the raw SI value.
         noise: Standard deviation of Gaussian noise, in the unit of the raw value.
@@ -293,6 +321,8 @@ class Observation(Term):
 
     group = "observation"
     columns: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    frame: str = ""
     compute: Callable[..., Tensor]
 
     def __init__(
@@ -369,6 +399,15 @@ class Observation(Term):
         at = {name: number for number, name in enumerate(self.columns)}
         pairs = ((name, f"{name[:-1]}y") for name in self.columns if f"_{name}".endswith("_x"))
         return tuple((at[x], at[y]) for x, y in pairs if y in at)
+
+    def frames(self, observation_frame: str) -> list[str]:
+        """What each column is seen in: horizontal vectors, and their heights, as the run asks."""
+        turned = {self.columns[column][:-1] for pair in self.vectors for column in pair}
+        follows = ("x", "y", "z")
+        return [
+            observation_frame if name[:-1] in turned and name[-1:] in follows else self.frame
+            for name in self.columns
+        ]
 
     def turned(self, raw: Tensor, heading: Tensor) -> Tensor:
         """The raw values [n, c] with their vectors turned by minus the yaw.

@@ -51,10 +51,9 @@ def make_sweep(config: DictConfig, folder: Path) -> None:
         config["seed"] = number
         OmegaConf.save(config, run / "config.yaml", resolve=True)
         with quiet():
-            summary = train_and_save(
-                TrainingRun(config).trainer(), TrainingRun(config, overrides), run
-            )
-            flights = TrainingRun(config, overrides).fly_held_out(run)
+            training = TrainingRun(config, overrides)
+            summary = train_and_save(training.trainer(), training, run, training.logger(run))
+            flights = training.fly_held_out(run)
         rates = {"success_rate": flights.success_rate, "collision_rate": 0.0}
         finish_run(run, summary | {"episodes": len(flights), **rates}, "train")
         for name in ("job.json", "origin.json"):

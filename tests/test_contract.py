@@ -27,6 +27,7 @@ from resc.keys import (
     TRAINED_SHARE,
     TRUNCATED,
 )
+from resc.learning.progress import Logger
 from resc.planning.route import planner_for
 from resc.policies.heads import Gaussian
 from resc.policies.networks import Model
@@ -323,10 +324,11 @@ def test_a_model_gives_finite_actions_to_any_number_of_environments(load_part, n
         assert not torch.equal(policy.decide(observation, state)[0], among)
 
 
-@pytest.mark.parametrize("name", names("logger"))
+@pytest.mark.parametrize("name", ["csv", "tensorboard"])  # trackers: learning/test_trackers.py
 def test_a_logger_takes_figures(load_part, tmp_path, name):
-    logger = build(load_part("logger", name), "logger", folder=tmp_path)
+    logger = build(load_part("logger", name), "logger", kind=Logger, folder=tmp_path)
     logger.log({"episode/return": 1.0}, 1000)
+    logger.attach({"success_rate": 1.0})
     logger.close()
 
 

@@ -11,7 +11,7 @@ GUARD = 'if __name__ == "__main__":'
 MAINS = sorted(
     path for path in (ROOT / "resc").rglob("*.py") if GUARD in path.read_text(encoding="utf-8")
 )
-OF_HYDRA = ("bound.py", "transfer.py", "fly.py", "peer.py")
+OF_HYDRA = ("bound.py", "transfer.py", "fly.py", "peer.py", "export.py")
 """Hydra reads their arguments, and a process does that once."""
 WRONG = {
     "scores.py": ("nowhere",),

@@ -3,11 +3,12 @@
 import csv
 import re
 from collections.abc import Mapping
+from functools import cached_property
 from itertools import cycle
 from pathlib import Path
 from statistics import mean
 from textwrap import shorten
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import matplotlib as mpl
 from matplotlib import colormaps
@@ -33,6 +34,23 @@ _BESIDE: dict[str, Any] = {
 """Of a legend to the right of its panel."""
 
 
+@runtime_checkable
+class Logger(Protocol):
+    """What figures of training go to, beside progress.csv."""
+
+    def log(self, figures: Mapping[str, float], frames: int) -> None:
+        """Takes the figures of a batch, at so many frames."""
+        ...
+
+    def attach(self, summary: Mapping[str, float | int]) -> None:
+        """Takes what a finished run has left in its folder, and its results."""
+        ...
+
+    def close(self) -> None:
+        """Takes no more."""
+        ...
+
+
 class CsvLogger:
     """Nothing beside progress.csv."""
 
@@ -42,6 +60,9 @@ class CsvLogger:
     def log(self, figures: Mapping[str, float], frames: int) -> None:
         """progress.csv holds them already."""
 
+    def attach(self, summary: Mapping[str, float | int]) -> None:
+        """The run's folder holds everything."""
+
     def close(self) -> None:
         """Nothing is open."""
 
@@ -50,21 +71,27 @@ class TensorboardLogger:
     """TensorBoard events in the run's folder: tensorboard --logdir runs."""
 
     def __init__(self, *, folder: Path) -> None:
-        from torch.utils.tensorboard import SummaryWriter  # imports slowly, so only when asked for
+        self.folder = folder
 
-        self.writer = SummaryWriter(str(folder / "tensorboard"))
+    @cached_property
+    def writer(self) -> Any:  # noqa: ANN401 - of a module that imports slowly
+        """Opened at the first figure."""
+        from torch.utils.tensorboard import SummaryWriter
+
+        return SummaryWriter(str(self.folder / "tensorboard"))
 
     def log(self, figures: Mapping[str, float], frames: int) -> None:
         """Writes every figure as a scalar."""
         for name, value in figures.items():
             self.writer.add_scalar(name, value, frames)
 
+    def attach(self, summary: Mapping[str, float | int]) -> None:
+        """The run's folder holds everything."""
+
     def close(self) -> None:
         """Flushes the events."""
-        self.writer.close()
-
-
-Logger = CsvLogger | TensorboardLogger
+        if "writer" in vars(self):
+            self.writer.close()
 
 
 class ProgressTable:

@@ -63,12 +63,14 @@ def stopping_at_batch_end() -> Iterator[Interruption]:
             signal.signal(number, handler)
 
 
-def train_and_save(trainer: Trainer, run: TrainingRun, folder: Path) -> dict[str, Any]:
+def train_and_save(
+    trainer: Trainer, run: TrainingRun, folder: Path, logger: Logger
+) -> dict[str, Any]:
     """Trains until the budget is spent or a signal comes, saves; returns frames and seconds.
 
     The summary counts all processes that trained the run, and, under `process`, this one alone.
     """
-    recorder, logger = run.recorder(trainer, folder), run.logger(folder)
+    recorder = run.recorder(trainer, folder)
     save = partial(run.save_policy, folder, trainer.algorithm, trainer.env.stages)
     table = ProgressTable(folder / PROGRESS, trainer.frames)
     frames, trained_s = trainer.frames, trainer.trained_s
@@ -86,7 +88,6 @@ def train_and_save(trainer: Trainer, run: TrainingRun, folder: Path) -> dict[str
         _keep_policy(trainer, save, folder, error)
         raise
     finally:
-        logger.close()
         if recorder is not None:
             recorder.close()
     save()

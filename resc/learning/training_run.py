@@ -144,7 +144,7 @@ class TrainingRun:
     def logger(self, folder: Path) -> Logger:
         """What the figures of training go to."""
         allowed = self.config["allowed_targets"]
-        return build(self.config["logger"], "logger", allowed=allowed, folder=folder)
+        return build(self.config["logger"], "logger", allowed=allowed, kind=Logger, folder=folder)
 
     def save_policy(self, folder: Path, algorithm: Algorithm, stages: Stages) -> None:
         """Writes the policy and the configuration that it needs into a folder."""

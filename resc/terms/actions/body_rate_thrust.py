@@ -10,7 +10,7 @@ from torch import Tensor
 from resc import keys
 from resc.errors import ConfigError
 from resc.quantities import CountOrNone, NotNegative, Positive, Within
-from resc.term import Action, Context
+from resc.term import Action, Channel, Context
 
 FASTEST_RADPS = 100.0
 """No quadrotor turns faster; a greater limit is degrees by mistake."""
@@ -68,6 +68,17 @@ class BodyRateThrust(Action):
     def bind(self, context: Context) -> None:
         """Takes the nominal weight: the command does not know of randomised masses."""
         self.weight_n = context.vehicle.mass_kg * self.gravity_mps2
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Body rates [rad/s] about the forward, the left and the upward axis; thrust [N]."""
+        low, high = (self.weight_n * factor for factor in self.thrust_range_g)
+        names = ("roll_rate", "pitch_rate", "yaw_rate")
+        rates = [
+            Channel(name, "rad/s", "body", 0.0, limit)
+            for name, limit in zip(names, self.limit.tolist(), strict=True)
+        ]
+        return [*rates, Channel("thrust", "N", "body", (low + high) / 2, (high - low) / 2)]
 
     def compute(
         self,

@@ -15,6 +15,8 @@ class Attitude(Observation):
     """
 
     reads = (keys.EULER,)
+    units = ("rad",)
+    frame = "world"
     columns = ("roll", "pitch", "yaw")
 
     def compute(self, euler: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

@@ -11,6 +11,8 @@ class BodyRate(Observation):
     """Body rates p, q, r [rad/s] (facts 3, 8-10)."""
 
     reads = (keys.BODY_RATE_B,)
+    units = ("rad/s",)
+    frame = "body"
     columns = ("p", "q", "r")
 
     def compute(self, body_rate: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

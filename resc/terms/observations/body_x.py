@@ -12,6 +12,7 @@ class BodyX(Observation):
     """The body's forward axis in the world frame, a unit vector (facts 3, 40-42)."""
 
     reads = (keys.ATTITUDE_WB,)
+    units = ("-",)
     columns = ("x", "y", "z")
 
     def compute(self, attitude: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3"]:

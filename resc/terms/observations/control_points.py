@@ -15,6 +15,7 @@ class ControlPointOffsets(Observation):
     """
 
     reads = (keys.POSITION_W, keys.CONTROL_POINTS_W)
+    units = ("m",)
     columns = tuple(f"{name}_{axis}" for name in ("first", "second", "between") for axis in "xyz")
 
     def compute(

@@ -45,6 +45,8 @@ class DepthScan(MapObservation):
 
     turn: Tensor
     reads = (keys.POSITION_W, keys.ATTITUDE_WB, *MAP_KEYS)
+    units = ("m",)
+    frame = "heading"
 
     def __init__(
         self,

@@ -31,6 +31,7 @@ class EsdfPatch(MapObservation):
 
     grid: Tensor
     reads = (keys.POSITION_W, keys.ATTITUDE_WB, *MAP_KEYS)
+    units = ("m",)
 
     def __init__(
         self,
@@ -59,7 +60,7 @@ class EsdfPatch(MapObservation):
     def bind(self, context: Context) -> None:
         """Takes the size of a map cell and, without one of its own, the alignment."""
         super().bind(context)
-        self.alignment = self.alignment or context.observation_frame
+        self.alignment = self.frame = self.alignment or context.observation_frame
 
     def compute(
         self, position: Float[Tensor, "n 3"], attitude: Float[Tensor, "n 4"], *maps: Tensor

@@ -20,6 +20,7 @@ class Heights(Observation):
     """
 
     reads = (keys.POSITION_W,)
+    units = ("m",)
     columns = ("to_ceiling", "to_ground")
 
     def __init__(self, *, ceiling_m: Positive = 2.0, **options: Unpack[ObservationOptions]) -> None:

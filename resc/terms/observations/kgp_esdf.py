@@ -37,6 +37,7 @@ class KgpEsdf(MapObservation):
         keys.CONTROL_POINTS_W,
         *MAP_KEYS,
     )
+    units = ("m",)
     columns = (
         *(f"velocity_{side}_{axis}" for side in ("left", "right") for axis in "xy"),
         *(f"control_point_{side}_{axis}" for side in ("left", "right") for axis in "xy"),

@@ -25,6 +25,7 @@ class KgpEsdfPair(MapObservation):
     """
 
     reads = (keys.POSITION_W, keys.VELOCITY_W, keys.CONTROL_POINTS_W, *MAP_KEYS)
+    units = ("m",)
     columns = (
         *(
             f"{point}_{what}"

@@ -21,6 +21,7 @@ class Limits(Observation):
     """
 
     reads = (keys.SPEED_LIMIT, keys.MARGIN)
+    units = ("-",)
     columns = ("speed", "margin")
 
     def __init__(

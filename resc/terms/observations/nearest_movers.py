@@ -38,6 +38,7 @@ class NearestMovers(Observation):
         self.number = number
         self.range_m = range_m
         self.columns = tuple(f"mover_{i}_{name}" for i in range(number) for name in self.numbers)
+        self.units = ("-", "-", "m/s", "m/s", "m") * number
 
     def bind(self, context: Context) -> None:
         """Takes the control period."""

@@ -12,6 +12,7 @@ class PlanarDistances(Observation):
     """Horizontal distance to the next two control points [m] (facts 3, 43-44)."""
 
     reads = (keys.POSITION_W, keys.CONTROL_POINTS_W)
+    units = ("m",)
     columns = ("first", "second")
 
     def compute(

@@ -34,6 +34,7 @@ class RaySampling(MapObservation):
 
     turn: Tensor
     reads = (keys.POSITION_W, keys.CONTROL_POINTS_W, *MAP_KEYS)
+    units = ("m",)
 
     def __init__(
         self,

@@ -41,6 +41,7 @@ class RaySearch(MapObservation):
 
     turn: Tensor
     reads = (keys.POSITION_W, keys.CONTROL_POINTS_W, *MAP_KEYS)
+    units = ("m",)
     columns = tuple(
         f"{point}_{what}"
         for point in ("first", "second")

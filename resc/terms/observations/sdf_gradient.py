@@ -23,6 +23,7 @@ class SdfGradient(MapObservation):
     """
 
     reads = (keys.POSITION_W, *MAP_KEYS)
+    units = ("m", "-", "-")
     columns = ("distance", "toward_x", "toward_y")
 
     def compute(self, position: Float[Tensor, "n 3"], *maps: Tensor) -> Float[Tensor, "n 3"]:

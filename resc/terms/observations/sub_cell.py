@@ -14,6 +14,8 @@ class SubCell(Observation):
     """
 
     reads = (keys.POSITION_W, keys.SCENE_INDEX, keys.MAP_ORIGIN_W)
+    units = ("m",)
+    frame = "world"
     columns = ("x", "y")
 
     @property

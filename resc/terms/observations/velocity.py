@@ -11,6 +11,7 @@ class Velocity(Observation):
     """Velocity [m/s] (facts 3, 2-4)."""
 
     reads = (keys.VELOCITY_W,)
+    units = ("m/s",)
     columns = ("x", "y", "z")
 
     def compute(self, velocity: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
