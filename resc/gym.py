@@ -11,8 +11,8 @@ from gymnasium.vector import AutoresetMode
 
 from resc.command_line import override
 from resc.door import make_env
-from resc.envs.gymnasium_env import RENDER_MODE, QuadrotorGymEnv
-from resc.envs.gymnasium_vector import QuadrotorVectorEnv
+from resc.envs.gymnasium_env import RENDER_MODE, QuadrotorGymEnv, require_single
+from resc.envs.gymnasium_vector import QuadrotorVectorEnv, mode_of
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError
 from resc.viewing.top_view import TopView
@@ -33,8 +33,10 @@ class Flight(QuadrotorGymEnv):
     def __init__(
         self, render_mode: str | None = None, overrides: Sequence[str] = (), **settings: object
     ) -> None:
-        env = _made(overrides, {"num_envs": 1} | settings)
-        super().__init__(env, _camera(env, render_mode))
+        _require_mode(render_mode)
+        require_single(settings.setdefault("num_envs", 1))
+        env = _made(overrides, settings)
+        super().__init__(env, TopView(env) if render_mode else None)
 
 
 class Flights(QuadrotorVectorEnv):
@@ -56,9 +58,10 @@ class Flights(QuadrotorVectorEnv):
         overrides: Sequence[str] = (),
         **settings: object,
     ) -> None:
-        mode = autoreset_mode
-        env = _made(overrides, {"num_envs": num_envs} | settings)
-        super().__init__(env, mode, _camera(env, render_mode))
+        _require_mode(render_mode)
+        mode = mode_of(autoreset_mode)
+        env = _made(overrides, {"num_envs": num_envs, **settings})
+        super().__init__(env, mode, TopView(env) if render_mode else None)
 
 
 def _made(overrides: Sequence[str], settings: dict[str, object]) -> QuadrotorEnv:
@@ -92,7 +95,6 @@ def _override(name: str, value: object) -> str:
     )
 
 
-def _camera(env: QuadrotorEnv, render_mode: str | None) -> TopView | None:
+def _require_mode(render_mode: str | None) -> None:
     if render_mode not in (None, RENDER_MODE):
         raise ConfigError(f"render_mode is {render_mode!r}; there is {RENDER_MODE!r} alone.")
-    return TopView(env) if render_mode else None

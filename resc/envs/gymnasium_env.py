@@ -1,7 +1,7 @@
 """One quadrotor behind Gymnasium's interface, for libraries that speak it."""
 
 from collections.abc import Collection, Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
@@ -18,6 +18,7 @@ RENDER_MODE = "rgb_array"
 METADATA: dict[str, Any] = {"render_modes": [RENDER_MODE], "render_fps": 50}
 
 
+@runtime_checkable
 class Camera(Protocol):
     """What draws the environments; it looks at each step, so that it knows their trails."""
 
@@ -45,11 +46,7 @@ class QuadrotorGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def __init__(self, env: QuadrotorEnv, camera: Camera | None = None) -> None:
         require_untransformed(env)
-        if env.num_envs != 1:
-            raise ConfigError(
-                f"num_envs is {env.num_envs}; Gymnasium's interface is for num_envs=1: "
-                "gymnasium.make_vec is for more."
-            )
+        require_single(env.num_envs)
         self.env = env
         self.camera = camera
         self.render_mode = RENDER_MODE if camera else None
@@ -85,6 +82,15 @@ class QuadrotorGymEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     def render(self) -> UInt8[np.ndarray, "h w 3"] | None:  # pyright: ignore[reportIncompatibleMethodOverride] - no list of frames
         """A picture of now, if there is a camera."""
         return self.camera.frame(0) if self.camera else None
+
+
+def require_single(num_envs: object) -> None:
+    """Raises ConfigError for more environments than one."""
+    if num_envs != 1:
+        raise ConfigError(
+            f"num_envs is {num_envs}; Gymnasium's interface of one environment is for num_envs=1: "
+            "gymnasium.make_vec makes more."
+        )
 
 
 def spaces_of(env: QuadrotorEnv) -> tuple[Box, Box]:

@@ -1,6 +1,6 @@
 """The whole batch behind Gymnasium's interface for vectors of environments."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -53,7 +53,7 @@ class QuadrotorVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.num_envs = env.num_envs
         self.camera = camera
         self.render_mode = RENDER_MODE if camera else None
-        self.autoreset_mode = _mode(autoreset_mode)
+        self.autoreset_mode = mode_of(autoreset_mode)
         self.metadata = metadata_of(env) | {"autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = spaces_of(env)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -63,7 +63,10 @@ class QuadrotorVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._begun = False
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begins episodes in all rows, or in those of the option `reset_mask`, bool [n].
 
@@ -181,7 +184,12 @@ class QuadrotorVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.camera.look()
 
 
-def _mode(given: object) -> AutoresetMode:
+def mode_of(given: object) -> AutoresetMode:
+    """An autoreset mode, also by its name.
+
+    Raises:
+        ConfigError: There is no such mode.
+    """
     try:
         return AutoresetMode(given)
     except ValueError:
