@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 PYTHON ?= python3.13 python3.12 python3.11 python3
 ARGS ?=
 # All but ray and rerun, which are large.
-EXTRAS := dev benchmark bound dataframes estimation link maps optuna px4 simulators slurm video
+EXTRAS := dev benchmark bound dataframes estimation examples link maps optuna px4 simulators slurm video
 
 # What `make readers` installs beside the lock file.
 NODE_PACKAGES := @mcap/core@2.2.2 @mcap/support@1.1.0 protobufjs@8.8.1

@@ -1,6 +1,5 @@
 """PPO of Stable-Baselines3 on a batch of environments, which is one VecEnv.
 
-pip install stable-baselines3
 python examples/sb3_ppo.py
 """
 
