@@ -41,19 +41,17 @@ class Value(DeterministicMixin, Model):
         return self.net(inputs["observations"]), {}
 
 
-def main(
-    num_envs: int = 1024, iterations: int = 100, steps: int = 32, compiled: bool = True
-) -> None:
+def main(num_envs: int = 1024, steps: int = 3200, compiled: bool = True) -> None:
     """Learns to fly without obstacles."""
     free = {"overrides": ["+experiment=obstacle_free"], "compile": compiled}
     env = wrap_env(gymnasium.make_vec("resc/Flight-v0", num_envs, **free), wrapper="gymnasium")
     spaces = {"observation_space": env.observation_space, "action_space": env.action_space}
     models = {"policy": Policy(device="cpu", **spaces), "value": Value(device="cpu", **spaces)}
-    memory = RandomMemory(memory_size=steps, num_envs=num_envs, device="cpu")
-    config = PPO_CFG(rollouts=steps, rewards_shaper=lambda reward, *_: 0.01 * reward)
+    memory = RandomMemory(memory_size=32, num_envs=num_envs, device="cpu")
+    config = PPO_CFG(rollouts=32, rewards_shaper=lambda reward, *_: 0.01 * reward)
     config.experiment.write_interval = config.experiment.checkpoint_interval = 0
     agent = PPO(models=models, memory=memory, cfg=config, device="cpu", **spaces)
-    numbers = {"timesteps": steps * iterations, "headless": True}
+    numbers = {"timesteps": steps, "headless": True}
     SequentialTrainer(env=env, agents=agent, cfg=numbers).train()
 
 
