@@ -8,9 +8,9 @@ import gymnasium
 import resc  # noqa: F401 - tells Gymnasium of resc/Flight-v0
 
 
-def main(flights: int = 10) -> list[str]:
+def main(flights: int = 10, **settings: object) -> list[str]:
     """Flies in one environment; returns how each flight ended."""
-    env = gymnasium.make("resc/Flight-v0", obstacle_observation="ray_sampling")
+    env = gymnasium.make("resc/Flight-v0", obstacle_observation="ray_sampling", **settings)
     env.action_space.seed(0)
     env.reset(seed=0)
     outcomes, rewards = [], 0.0

@@ -39,7 +39,7 @@ def test_every_example_is_run_here():
 def test_random_actions_end_flights(capsys):
     from examples import gymnasium_random
 
-    outcomes = gymnasium_random.main(flights=2)
+    outcomes = gymnasium_random.main(flights=2, pool_size=4)
     assert len(outcomes) == 2
     assert capsys.readouterr().out.startswith(f"flight 1: {outcomes[0]}, return ")
 

@@ -1,7 +1,7 @@
-"""`gymnasium.make` and `make_vec` with resc/Flight-v0, its pictures, and films of it."""
+"""docs/gymnasium.md: what `gymnasium.make` and `make_vec` make, pictures of it, and films."""
 
-import subprocess
-import sys
+import re
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -33,12 +33,6 @@ DYING = {
 def pixels(frame, colour):
     """How many are of a colour."""
     return int((frame == np.round(255 * np.array(to_rgb(colour)))).all(-1).sum())
-
-
-def test_importing_resc_is_enough_for_gymnasium_to_know_it():
-    asked = f"import resc, gymnasium, sys; print(gymnasium.spec('{ID}').id, 'torch' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, timeout=60)
-    assert (done.stdout, done.stderr) == (f"{ID} False\n", "")
 
 
 # The observation has no bounds.
@@ -132,8 +126,13 @@ def test_without_a_render_mode_nothing_is_drawn():
     assert gymnasium.make_vec(ID, num_envs=2, **FREE).render() is None
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::SyntaxWarning")
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
+OF_MOVIEPY = pytest.mark.filterwarnings(
+    *(f"ignore::{kind}Warning" for kind in ("Deprecation", "Syntax", "Resource"))
+)
+
+
+@OF_MOVIEPY
+@pytest.mark.slow
 def test_gymnasium_films_a_flight_and_a_batch(tmp_path):
     pytest.importorskip("moviepy", reason="the extra 'video' is not installed")
     env = RecordVideo(gymnasium.make(ID, **DYING), str(tmp_path / "one"))
@@ -159,3 +158,16 @@ def size_of(folder):
     size = next(reading)["size"]
     reading.close()
     return (*size, count_frames_and_secs(str(film))[0])
+
+
+@OF_MOVIEPY
+@pytest.mark.slow
+def test_the_page_runs_as_it_is_written(tmp_path, monkeypatch):
+    pytest.importorskip("moviepy", reason="the extra 'video' is not installed")
+    monkeypatch.chdir(tmp_path)
+    page = Path(__file__).parents[1] / "docs" / "gymnasium.md"
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
+        exec(block, names)
+    assert names["info"].keys() == {"outcome", "is_success"}
+    assert [path.name for path in (tmp_path / "films").iterdir()] == ["rl-video-episode-0.mp4"]
