@@ -12,13 +12,13 @@ from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 import resc  # noqa: F401 - tells Gymnasium of resc/Flight-v0
 
+FREE = {"overrides": ["+experiment=obstacle_free", "reward=[progress,finish]"]}
 STEPS, UPDATES, MINIBATCH, GAMMA, GAE_LAMBDA, CLIP, SCALE = 32, 32, 4096, 0.99, 0.95, 0.2, 0.01
 
 
-def main(num_envs: int = 1024, iterations: int = 100, compiled: bool = True) -> None:
+def main(num_envs: int = 1024, iterations: int = 100) -> None:
     """Learns to fly without obstacles."""
-    free = {"overrides": ["+experiment=obstacle_free"], "compile": compiled}
-    envs = gymnasium.make_vec("resc/Flight-v0", num_envs, autoreset_mode="SameStep", **free)
+    envs = gymnasium.make_vec("resc/Flight-v0", num_envs, autoreset_mode="SameStep", **FREE)
     width, size = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
     actor, critic = (
         nn.Sequential(nn.Linear(width, 64), nn.Tanh(), nn.Linear(64, out)) for out in (size, 1)

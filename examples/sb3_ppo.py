@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 import resc  # noqa: F401 - tells Gymnasium of resc/Flight-v0
 from resc.envs.sb3_vec_env import QuadrotorVecEnv
 
-FREE = ["+experiment=obstacle_free"]
+FREE = ["+experiment=obstacle_free", "reward=[progress,finish]"]
 
 
 def main(num_envs: int = 1024, frames: int = 3_000_000, compiled: bool = True) -> float:

@@ -14,6 +14,8 @@ from torch import Tensor, nn
 
 import resc  # noqa: F401 - tells Gymnasium of resc/Flight-v0
 
+FREE = {"overrides": ["+experiment=obstacle_free", "reward=[progress,finish]"]}
+
 
 class Policy(GaussianMixin, Model):
     """Mean and spread of the actions."""
@@ -41,10 +43,9 @@ class Value(DeterministicMixin, Model):
         return self.net(inputs["observations"]), {}
 
 
-def main(num_envs: int = 1024, steps: int = 3200, compiled: bool = True) -> None:
+def main(num_envs: int = 1024, steps: int = 3200) -> None:
     """Learns to fly without obstacles."""
-    free = {"overrides": ["+experiment=obstacle_free"], "compile": compiled}
-    env = wrap_env(gymnasium.make_vec("resc/Flight-v0", num_envs, **free), wrapper="gymnasium")
+    env = wrap_env(gymnasium.make_vec("resc/Flight-v0", num_envs, **FREE), wrapper="gymnasium")
     spaces = {"observation_space": env.observation_space, "action_space": env.action_space}
     models = {"policy": Policy(device="cpu", **spaces), "value": Value(device="cpu", **spaces)}
     memory = RandomMemory(memory_size=32, num_envs=num_envs, device="cpu")

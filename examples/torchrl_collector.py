@@ -18,7 +18,8 @@ STEPS, UPDATES, MINIBATCH, SCALE = 32, 32, 4096, 0.01
 
 def main(num_envs: int = 1024, iterations: int = 100, compiled: bool = True) -> None:
     """Learns to fly without obstacles."""
-    env = resc.make_env("+experiment=obstacle_free", num_envs=num_envs, compile=compiled)
+    free = ("+experiment=obstacle_free", "reward=[progress,finish]")
+    env = resc.make_env(*free, num_envs=num_envs, compile=compiled)
     width, size = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
     net = nn.Sequential(
         nn.Linear(width, 64), nn.Tanh(), nn.Linear(64, 2 * size), NormalParamExtractor()

@@ -15,8 +15,8 @@ LONGER = ("behaviour_cloning", "draw_map")
 """Tools with a command line, tested on their own."""
 EXAMPLES = [path for path in sorted((ROOT / "examples").glob("*.py")) if path.stem not in LONGER]
 CUT = {
-    "cleanrl_style": "num_envs=64, iterations=2, compiled=False",
-    "skrl_ppo": "num_envs=8, steps=64, compiled=False",
+    "cleanrl_style": "num_envs=64, iterations=2",
+    "skrl_ppo": "num_envs=8, steps=64",
     "sb3_ppo": "num_envs=64, frames=4096, compiled=False",
     "torchrl_collector": "num_envs=64, iterations=2, compiled=False",
 }
