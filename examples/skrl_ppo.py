@@ -52,8 +52,7 @@ def main(num_envs: int = 1024, steps: int = 3200) -> None:
     config = PPO_CFG(rollouts=32, rewards_shaper=lambda reward, *_: 0.01 * reward)
     config.experiment.write_interval = config.experiment.checkpoint_interval = 0
     agent = PPO(models=models, memory=memory, cfg=config, device="cpu", **spaces)
-    numbers = {"timesteps": steps, "headless": True}
-    SequentialTrainer(env=env, agents=agent, cfg=numbers).train()
+    SequentialTrainer(env=env, agents=agent, cfg={"timesteps": steps, "headless": True}).train()
 
 
 if __name__ == "__main__":
