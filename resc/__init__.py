@@ -1,11 +1,13 @@
 """RESC: search-to-control quadrotor planning, trained, ablated, recorded and compared.
 
 `make_env`, `load` and `load_policy` are for use from Python; they are read, and torch with them,
-when they are first asked for.
+when they are first asked for. Gymnasium knows `resc/Flight-v0` (docs/gymnasium.md).
 """
 
 import os
 from typing import TYPE_CHECKING, Any
+
+import gymnasium
 
 if TYPE_CHECKING:
     from resc.door import load, load_policy, make_env
@@ -15,6 +17,10 @@ __all__ = ["load", "load_policy", "make_env"]
 # Before torch is loaded, which reads it once. Threads that wait for the next piece of work by
 # spinning take the cores from the threads of the rays and from other processes.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+gymnasium.register(
+    "resc/Flight-v0", entry_point="resc.gym:Flight", vector_entry_point="resc.gym:Flights"
+)
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - one of __all__

@@ -68,8 +68,8 @@ def make_env(
     """The environment that `python train.py` trains in with these overrides, planner included.
 
     It is a TorchRL environment (docs/python.md). Episodes are at full difficulty, and scenes are
-    not renewed, unless the caller does that with `set_difficulty` and `renew`. For Gymnasium,
-    `resc.envs.gymnasium_env.QuadrotorGymEnv` wraps one with `num_envs=1`.
+    not renewed, unless the caller does that with `set_difficulty` and `renew`. For Gymnasium, use
+    `gymnasium.make("resc/Flight-v0")` (docs/gymnasium.md).
 
     Args:
         *overrides: As on the command line, such as `obstacle_observation=ray_sampling`.

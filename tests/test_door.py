@@ -23,8 +23,11 @@ def plain(config):
     return OmegaConf.to_container(config, resolve=True)
 
 
-def test_importing_resc_imports_no_torch_and_no_hydra():
-    asked = "import resc, sys; print(sorted({'torch', 'hydra', 'omegaconf'} & {*sys.modules}))"
+def test_importing_resc_imports_no_torch_and_no_hydra_and_gymnasium_knows_it_then():
+    asked = (
+        "import resc, sys, gymnasium; gymnasium.spec('resc/Flight-v0'); "
+        "print(sorted({'torch', 'hydra', 'omegaconf'} & {*sys.modules}))"
+    )
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("[]\n", "")
 

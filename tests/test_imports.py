@@ -27,7 +27,7 @@ FLOORS = (
     {"planning", "policies", "recording"},
     {"setup", "flight_logs"},
     {"viewing", "flying", "door"},
-    {"learning", "evaluation", "log_command", "compile_kernels"},
+    {"learning", "evaluation", "log_command", "compile_kernels", "gym"},
     {"studies", "deployment"},
     {"sweeps"},
 )

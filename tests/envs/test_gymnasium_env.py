@@ -6,7 +6,7 @@ from gymnasium.utils.env_checker import check_env
 from torch.testing import assert_close
 
 from resc.envs.gymnasium_env import QuadrotorGymEnv
-from resc.errors import ConfigError
+from resc.errors import CallError, ConfigError
 
 FREE = "+experiment=obstacle_free"
 
@@ -47,7 +47,9 @@ def test_the_clock_truncates_and_the_last_step_names_the_outcome(make_env):
     steps = [env.step(env.action_space.sample() * 0) for _ in range(5)]
     assert [step[3] for step in steps] == [False, False, False, False, True]
     assert not any(step[2] for step in steps)
-    assert [step[4] for step in steps] == [{}, {}, {}, {}, {"outcome": "time_limit"}]
+    assert [step[4] for step in steps] == [{}] * 4 + [
+        {"outcome": "time_limit", "is_success": False}
+    ]
 
 
 def test_a_returned_observation_stays_as_it_was(env):
@@ -56,6 +58,11 @@ def test_a_returned_observation_stays_as_it_was(env):
     env.step(env.action_space.sample())
     env.reset(seed=1)
     assert (first == kept).all()
+
+
+def test_options_that_nothing_reads_are_refused(env):
+    with pytest.raises(CallError, match=r"reset has no option 'start'\. Available: none"):
+        env.reset(options={"start": 1})
 
 
 def test_more_than_one_environment_is_refused(make_env):
