@@ -285,18 +285,18 @@ def _same_scenes(one: Run, other: Run) -> bool:
 
 def _stored_task(folder: Path) -> dict[str, Any]:
     try:
-        return task_of(load_config(folder / CONFIG))
+        return task_of(TrainingRun(load_config(folder / CONFIG)))
     except ConfigError as error:
         raise ConfigError(f"{folder / CONFIG}: {error}; restore the file from its run.") from None
 
 
-def task_of(config: DictConfig) -> dict[str, Any]:
+def task_of(run: TrainingRun) -> dict[str, Any]:
     """What a run's held-out episodes are, as plain data.
 
     Raises:
         ConfigError: `env` is no part.
     """
-    rules: Mapping[str, Any] = TrainingRun(config).held_out
+    rules: Mapping[str, Any] = run.held_out
     task = {name: _plain(rules.get(name)) for name in TASK}
     env = task["env"]
     if not isinstance(env, dict):

@@ -7,6 +7,7 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
+from resc.learning.training_run import TrainingRun
 from resc.studies.study import task_of
 
 ABLATIONS = sorted((Path(__file__).parents[2] / "conf" / "experiment").glob("ablate_*.yaml"))
@@ -28,7 +29,8 @@ def variants(path):
 
 @pytest.mark.parametrize("path", ABLATIONS, ids=lambda path: path.stem)
 def test_all_variants_of_an_ablation_fly_the_same_held_out_episodes(path, compose):
-    tasks = [task_of(compose(f"+experiment={path.stem}", *own)) for own in variants(path)]
+    runs = [TrainingRun(compose(f"+experiment={path.stem}", *own)) for own in variants(path)]
+    tasks = [task_of(run) for run in runs]
     assert len(tasks) > 1
     for task in tasks[1:]:
         assert task == tasks[0]
