@@ -6,6 +6,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
     {"errors", "keys", "moved", "places"},
+    {"ranks"},
     {"console", "math", "process", "quantities", "run_folder", "sights", "command_line"},
     {"term", "sweep_folder"},
     {"groups"},

@@ -8,6 +8,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from resc import ranks
 from resc.envs.stages import StepOutput
 
 RENEWED = "scene_renewed"
@@ -45,11 +46,12 @@ class EpisodeStatistics:
         self.recent: deque[Row] = deque(maxlen=WINDOW)
         self.total = 0
         self.finished: list[TensorDict] = []
+        self._of_all: list[TensorDict] | None = None
         self.start_step = 0
 
     def begin_batch(self, start_step: int) -> None:
         """Forgets the episodes listed so far; `start_step` is the first step of the batch."""
-        self.finished = []
+        self.finished, self._of_all = [], None
         self.start_step = start_step
 
     def step(
@@ -71,14 +73,27 @@ class EpisodeStatistics:
 
     def episodes(self) -> TensorDict | None:
         """The episodes that finished in this batch [e], for the recorder."""
-        if not self.finished:
-            return None
-        # torch.cat is annotated for tensors alone; tensordict makes it take its own.
-        return torch.cat(self.finished)  # pyright: ignore[reportArgumentType, reportReturnType]
+        return _joined(self.finished)
+
+    def exchange(self) -> None:
+        """Counts what ended in this batch with the other processes of the training, too.
+
+        `rates`, `success_by_difficulty` and `complete` are then of all of them.
+        """
+        if ranks.count() == 1:
+            return
+        own = self.episodes()
+        every = ranks.gather(None if own is None else own.to_dict())
+        parts = {n: TensorDict(part) for n, part in enumerate(every) if part is not None}
+        self._of_all = [part.auto_batch_size_(1) for part in parts.values()]
+        for number, part in parts.items():
+            if number != ranks.rank():
+                levels = [cast(Tensor, part["difficulties", name]) for name in self.names]
+                self._count(part["outcome"], part["return_"], part["length"], levels)
 
     def complete(self) -> TensorDict | None:
         """As `episodes`, without those that were cut from outside, with their `success`."""
-        episodes = self.episodes()
+        episodes = self.episodes() if self._of_all is None else _joined(self._of_all)
         if episodes is None:
             return None
         codes = cast(Tensor, episodes["outcome"])
@@ -161,10 +176,7 @@ class EpisodeStatistics:
         end = self.start_step + t
         lengths, returns = self.lengths[rows], self.returns[rows]
         flown_at = {name: self.difficulties[name][rows, 0].cpu() for name in self.names}
-        levels = torch.stack([*flown_at.values()], -1) if flown_at else torch.zeros(len(rows), 0)
-        columns = (codes.tolist(), returns.tolist(), lengths.tolist(), map(tuple, levels.tolist()))
-        self.recent.extend(zip(*columns, strict=True))
-        self.total += len(rows)
+        levels = self._count(codes, returns, lengths, [*flown_at.values()])
         self.finished.append(
             TensorDict(
                 {
@@ -185,3 +197,21 @@ class EpisodeStatistics:
         self.numbers[rows] += 1
         self.returns[rows] = 0
         self.lengths[rows] = 0
+
+    def _count(
+        self, codes: Tensor, returns: Tensor, lengths: Tensor, difficulties: Sequence[Tensor]
+    ) -> Tensor:
+        """Adds episodes to those that rates look back on; returns their difficulties [e, names]."""
+        levels = torch.stack([*difficulties], -1) if difficulties else torch.zeros(len(codes), 0)
+        columns = (codes.tolist(), returns.tolist(), lengths.tolist(), map(tuple, levels.tolist()))
+        self.recent.extend(zip(*columns, strict=True))
+        self.total += len(codes)
+        return levels
+
+
+def _joined(parts: Sequence[TensorDict]) -> TensorDict | None:
+    """Episodes one after the other; None where there are none."""
+    if not parts:
+        return None
+    # torch.cat is annotated for tensors alone; tensordict makes it take its own.
+    return torch.cat([*parts])  # pyright: ignore[reportArgumentType, reportReturnType]

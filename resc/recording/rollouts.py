@@ -60,6 +60,7 @@ class RecordedRun:
         num_envs: int,
         outcomes: tuple[str, ...] | None = None,
         facts: Mapping[str, str] | None = None,
+        session: str = "",
     ) -> RolloutRecorder | None:
         """A recorder with metadata and configuration attached; None where nothing is recorded.
 
@@ -69,6 +70,7 @@ class RecordedRun:
             num_envs: Rows of every batch.
             outcomes: How an episode can end; as the stages say by default.
             facts: Of what flies, such as the digest of a policy.
+            session: As of `RolloutRecorder`.
         """
         if not self.recorder:
             return None
@@ -85,6 +87,7 @@ class RecordedRun:
             attachments={"config.yaml": self.config_yaml.encode()},
             outcomes=outcomes or stages.outcomes,
             topics=topics_of(stages),
+            **({"session": session} if session else {}),
         )
 
 

@@ -1,0 +1,130 @@
+"""Recordings of a training in several processes: each writes its own, read together as one run.
+
+The first rank records where a process on its own would, the others in folders beside its files. All
+name the same session and their rank. Read together, the environments of rank r follow those of the
+ranks before it; a batch is there as soon as all of them have written it.
+"""
+
+import uuid
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int, Shaped
+
+from resc import ranks
+from resc.errors import ConfigError
+from resc.recording.decode import Arrays, Batch
+from resc.recording.source import Source
+
+FOLDERS = "rank_*"
+_NAME = "rank_{:03d}"
+
+
+def directory_of_rank(directory: Path) -> Path:
+    """Where this rank records, of a run that records to a directory."""
+    return directory if ranks.is_first() else directory / _NAME.format(ranks.rank())
+
+
+def facts_of_rank() -> dict[str, str]:
+    """What the files of this rank say of it; nothing where there is one."""
+    count = ranks.count()
+    return {"rank": str(ranks.rank()), "ranks": str(count)} if count > 1 else {}
+
+
+def session_of_ranks() -> str:
+    """The session that all ranks name; empty where there is one, whose recorder draws its own."""
+    return ranks.from_first(lambda: uuid.uuid4().hex) if ranks.count() > 1 else ""
+
+
+def shared(recorder: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """The settings of a recorder with the share that this rank has of `envs` and `max_gb`.
+
+    Raises:
+        ConfigError: They do not divide.
+    """
+    if not recorder or ranks.count() == 1:
+        return dict(recorder) if recorder else None
+    found = dict(recorder)
+    if (envs := found.get("envs")) is not None:
+        if not isinstance(envs, int):
+            raise ConfigError(f"recorder.envs is {envs!r}; expected a whole number, or null.")
+        found["envs"] = ranks.share(envs, "recorder.envs")
+    if isinstance(limit := found.get("max_gb"), int | float):
+        found["max_gb"] = limit / ranks.count()
+    return found
+
+
+def in_reading_order(path: Path) -> tuple[Path, str, str]:
+    """By folder, the first rank before the others, then by name."""
+    if path.parent.match(FOLDERS):
+        return path.parent.parent, path.parent.name, path.name
+    return path.parent, "", path.name
+
+
+def numbered(sources: Sequence[Source]) -> list[Source]:
+    """The sources with the numbers that their first environments have among all that are read."""
+    places = {rank: place for place, rank in enumerate(sorted({s.rank for s in sources}))}
+    return [
+        replace(source, first_env=places[source.rank] * source.specification.num_envs)
+        for source in sources
+    ]
+
+
+def of_all_ranks(found: Sequence[Batch]) -> list[Batch]:
+    """Batches of several ranks as those of one run, without those that a rank has not written."""
+    count = len({batch.source.first_env for batch in found})
+    if count <= 1:
+        return list(found)
+    beside: dict[tuple[str, int], list[Batch]] = defaultdict(list)
+    for batch in found:
+        beside[batch.source.run, batch.start_step].append(batch)
+    whole = [parts for parts in beside.values() if len(parts) == count]
+    return [Joint(p[0].source, p[0].start_step, p[0].chunks, tuple(p)) for p in whole]
+
+
+@dataclass(frozen=True)
+class Joint(Batch):
+    """One batch of several ranks; source and chunks are those of the first."""
+
+    parts: tuple[Batch, ...] = ()
+
+    @cached_property
+    def recorded(self) -> int:
+        """Its length, which is that of every part."""
+        return self.parts[0].recorded
+
+    def read(self, first: int, last: int, out: Arrays) -> None:
+        """Puts the values of environments `first` to `last` into arrays."""
+        for part, begin, end in self._within(first, last):
+            low, high = max(first, begin), min(last + 1, end)
+            part.read(
+                low - begin, high - 1 - begin, [a[:, low - first : high - first] for a in out]
+            )
+
+    def read_spans(
+        self,
+        spans: Shaped[np.ndarray, " s"],
+        targets: Int[np.ndarray, " s"],
+        out: Shaped[np.ndarray, " rows"],
+    ) -> None:
+        """Puts the steps of spans of this batch into records, from `targets` on."""
+        wanted = spans["env_id"]
+        for part, begin, end in self._within(int(wanted.min()), int(wanted.max())):
+            chosen = (wanted >= begin) & (wanted < end)
+            if chosen.any():
+                own = spans[chosen].copy()
+                own["env_id"] -= begin
+                part.read_spans(own, targets[chosen], out)
+
+    def _within(self, first: int, last: int) -> Iterator[tuple[Batch, int, int]]:
+        """Parts with some of environments `first` to `last`, and where their own begin and end."""
+        for part in self.parts:
+            begin = part.source.first_env
+            end = begin + part.source.specification.num_envs
+            if begin <= last and first < end:
+                yield part, begin, end
