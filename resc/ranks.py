@@ -11,12 +11,13 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import timedelta
-from typing import Any
+from typing import Any, cast
 
 import torch
 import torch.distributed as dist
 from jaxtyping import Shaped
 from torch import Tensor, nn
+from torch.distributed.rendezvous import rendezvous
 
 from resc.errors import ConfigError, LostRankError
 
@@ -24,7 +25,7 @@ PATIENCE = timedelta(minutes=10)
 """How long a rank waits for the others: one may still compile, or lay out its scenes."""
 _WHY = "why"
 """In the store: the first sentence that a rank ended with."""
-_store: dist.Store | None = None
+_store: Any = None
 
 
 def join() -> None:
@@ -33,7 +34,7 @@ def join() -> None:
     if int(os.environ.get("WORLD_SIZE", "1")) < 2:
         return
     with _together():
-        _store, rank, count = next(iter(dist.rendezvous("env://", timeout=PATIENCE)))
+        _store, rank, count = next(iter(rendezvous("env://", timeout=PATIENCE)))
         dist.init_process_group("gloo", store=_store, rank=rank, world_size=count, timeout=PATIENCE)
 
 
@@ -213,7 +214,9 @@ def started_by(command: str) -> str:
 @functools.cache
 def _group(on_gpu: bool) -> dist.ProcessGroup | None:
     """What carries tensors of the CPU (None, the default), or of cards."""
-    return dist.new_group(backend="nccl", timeout=PATIENCE) if on_gpu else None
+    if not on_gpu:
+        return None
+    return cast(dist.ProcessGroup, dist.new_group(backend="nccl", timeout=PATIENCE))
 
 
 @contextmanager

@@ -292,7 +292,7 @@ class Ppo(Algorithm):
         observation, action, before, advantage, target = samples.split(widths, -1)
         mean, std = self.policy.head(self.policy.network(observation[:, :seen]))
         value = self.networks["value"](observation)
-        return self._losses_from(mean, std, value, action, before, advantage, target, shared)
+        return self._losses_from(mean, std, value, action, before, advantage, target, shared=shared)
 
     def _losses_of_sequences(self, sequences: TensorDict, shared: Moments | None = None) -> Figures:
         """Of some of `_sequences`; gradients go back through all their steps."""
@@ -303,7 +303,9 @@ class Ppo(Algorithm):
         given = (moments["loc"], moments["scale"], value, sequences["action"])
         before = sequences["action_log_prob"].unsqueeze(-1)
         learned = before, sequences["advantage"], sequences["value_target"]
-        return self._losses_from(*(part.flatten(0, 1) for part in (*given, *learned)), shared)
+        return self._losses_from(
+            *(part.flatten(0, 1) for part in (*given, *learned)), shared=shared
+        )
 
     def _losses_from(
         self,
@@ -314,6 +316,7 @@ class Ppo(Algorithm):
         before: Tensor,
         advantage: Tensor,
         target: Tensor,
+        *,
         shared: Moments | None,
     ) -> Figures:
         """The sum to minimise; then policy and value loss, entropy, divergence, share clipped.

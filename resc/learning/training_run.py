@@ -24,7 +24,7 @@ from resc.learning.progress import CsvLogger, Logger
 from resc.learning.trainer import Trainer
 from resc.policies.networks import Model
 from resc.policies.stored import load_policy, require_same_layout, save_policy
-from resc.recording.rank_files import (
+from resc.recording.rank_recorder import (
     directory_of_rank,
     facts_of_rank,
     session_of_ranks,

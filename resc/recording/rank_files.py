@@ -5,58 +5,20 @@ name the same session and their rank. Read together, the environments of rank r 
 ranks before it; a batch is there as soon as all of them have written it.
 """
 
-import uuid
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Int, Shaped
 
-from resc import ranks
-from resc.errors import ConfigError
 from resc.recording.decode import Arrays, Batch
 from resc.recording.source import Source
 
 FOLDERS = "rank_*"
-_NAME = "rank_{:03d}"
-
-
-def directory_of_rank(directory: Path) -> Path:
-    """Where this rank records, of a run that records to a directory."""
-    return directory if ranks.is_first() else directory / _NAME.format(ranks.rank())
-
-
-def facts_of_rank() -> dict[str, str]:
-    """What the files of this rank say of it; nothing where there is one."""
-    count = ranks.count()
-    return {"rank": str(ranks.rank()), "ranks": str(count)} if count > 1 else {}
-
-
-def session_of_ranks() -> str:
-    """The session that all ranks name; empty where there is one, whose recorder draws its own."""
-    return ranks.from_first(lambda: uuid.uuid4().hex) if ranks.count() > 1 else ""
-
-
-def shared(recorder: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """The settings of a recorder with the share that this rank has of `envs` and `max_gb`.
-
-    Raises:
-        ConfigError: They do not divide.
-    """
-    if not recorder or ranks.count() == 1:
-        return dict(recorder) if recorder else None
-    found = dict(recorder)
-    if (envs := found.get("envs")) is not None:
-        if not isinstance(envs, int):
-            raise ConfigError(f"recorder.envs is {envs!r}; expected a whole number, or null.")
-        found["envs"] = ranks.share(envs, "recorder.envs")
-    if isinstance(limit := found.get("max_gb"), int | float):
-        found["max_gb"] = limit / ranks.count()
-    return found
+"""Of the ranks but the first, beside its files."""
 
 
 def in_reading_order(path: Path) -> tuple[Path, str, str]:
@@ -92,6 +54,11 @@ class Joint(Batch):
     """One batch of several ranks; source and chunks are those of the first."""
 
     parts: tuple[Batch, ...] = ()
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The files that hold it, one of each rank."""
+        return tuple(part.source for part in self.parts)
 
     @cached_property
     def recorded(self) -> int:

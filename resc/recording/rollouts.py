@@ -74,6 +74,7 @@ class RecordedRun:
         """
         if not self.recorder:
             return None
+        further: dict[str, Any] = {"session": session} if session else {}
         own = {"seed": str(self.seed), "device": self.device, "overrides": " ".join(self.overrides)}
         return build(
             self.recorder,
@@ -87,7 +88,7 @@ class RecordedRun:
             attachments={"config.yaml": self.config_yaml.encode()},
             outcomes=outcomes or stages.outcomes,
             topics=topics_of(stages),
-            **({"session": session} if session else {}),
+            **further,
         )
 
 
