@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import torch
 import torch.distributed as dist
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 from torch import Tensor, nn
 from torch.distributed.rendezvous import rendezvous
 
@@ -168,6 +168,14 @@ def total(tensor: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:
 def mean(tensor: Shaped[Tensor, "..."]) -> Shaped[Tensor, "..."]:
     """The mean over the ranks, the same bits for all."""
     return total(tensor) / count() if count() > 1 else tensor
+
+
+def moments(
+    samples: Float[Tensor, "n d"],
+) -> tuple[Float[Tensor, " d"], Float[Tensor, " d"]]:
+    """Mean and sum of squared deviations of each column, over as many samples of every rank."""
+    centre = mean(samples.mean(0))
+    return centre, total((samples - centre).square().sum(0))
 
 
 def average_(tensors: Sequence[Shaped[Tensor, "..."]]) -> None:

@@ -267,12 +267,10 @@ class Ppo(Algorithm):
         if ranks.count() == 1:
             return [None] * count
         column = chosen[:, -2] if isinstance(chosen, Tensor) else chosen["advantage"]
-        rows = column.reshape(count, -1).double()
-        number = rows.shape[1] * ranks.count()
-        mean = ranks.mean(rows.mean(1))
-        squares = ranks.total((rows - mean.unsqueeze(-1)).square().sum(1))
-        std = (squares / (number - 1)).sqrt()
-        return list(zip(mean.to(column.dtype), std.to(column.dtype), strict=True))
+        rows = column.reshape(count, -1)
+        mean, squares = ranks.moments(rows.double().T)
+        std = (squares / (rows.shape[1] * ranks.count() - 1)).sqrt()
+        return list(zip(mean.to(rows.dtype), std.to(rows.dtype), strict=True))
 
     def _gradient_step(self, minibatch: Tensor | TensorDict, shared: Moments | None) -> Tensor:
         loss, *figures = self._losses(minibatch, shared)

@@ -66,11 +66,12 @@ class RunningNormalization(nn.Module):
     def update(self, observation: Float[Tensor, "*n d"]) -> None:
         """Adds a batch, with those of all ranks, to the statistics, in place (Chan et al. 1979)."""
         batch = observation.flatten(0, -2).double()
-        variance, mean = torch.var_mean(batch, 0, correction=0)
-        if ranks.count() > 1:
-            own, mean = mean, ranks.mean(mean)
-            variance = ranks.mean(variance + (own - mean) ** 2)
         samples = len(batch) * ranks.count()
+        if ranks.count() == 1:
+            variance, mean = torch.var_mean(batch, 0, correction=0)
+        else:
+            mean, squares = ranks.moments(batch)
+            variance = squares / samples
         total = self.count + samples
         share = samples / total
         step = mean - self.mean
