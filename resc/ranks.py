@@ -216,7 +216,9 @@ def started_by(command: str) -> str:
         return command
     here = int(os.environ.get("LOCAL_WORLD_SIZE", count()))
     nodes = f"--nnodes={count() // here} " if here < count() else ""
-    return f"torchrun {nodes}--nproc-per-node={here} {command.removeprefix('python ')}"
+    script = command.removeprefix("python ")
+    script = script if script != command else f"--no-python {command}"
+    return f"torchrun {nodes}--nproc-per-node={here} {script}"
 
 
 @functools.cache
