@@ -31,7 +31,7 @@ _store: Any = None
 def join() -> None:
     """Meets the other processes that torchrun has started, if it has."""
     global _store
-    if int(os.environ.get("WORLD_SIZE", "1")) < 2:
+    if int(os.environ.get("WORLD_SIZE", "1")) < 2 or "MASTER_ADDR" not in os.environ:
         return
     with _together():
         _store, rank, count = next(iter(rendezvous("env://", timeout=PATIENCE)))

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int, Shaped
 
+from resc.errors import RecordingError
 from resc.recording.decode import Arrays, Batch
 from resc.recording.source import Source
 
@@ -29,8 +30,22 @@ def in_reading_order(path: Path) -> tuple[Path, str, str]:
 
 
 def numbered(sources: Sequence[Source]) -> list[Source]:
-    """The sources with the numbers that their first environments have among all that are read."""
-    places = {rank: place for place, rank in enumerate(sorted({s.rank for s in sources}))}
+    """The sources with the numbers that their first environments have among all that are read.
+
+    Raises:
+        RecordingError: They are of runs of different ranks.
+    """
+    beside: dict[str, set[int]] = defaultdict(set)
+    for source in sources:
+        beside[source.run].add(source.rank)
+    own = beside[sources[0].run]
+    for source in sources:
+        if beside[source.run] != own:
+            raise RecordingError(
+                f"{source.path} and {sources[0].path} are of runs of different numbers of "
+                "processes; open them one at a time."
+            )
+    places = {rank: place for place, rank in enumerate(sorted(own))}
     return [
         replace(source, first_env=places[source.rank] * source.specification.num_envs)
         for source in sources

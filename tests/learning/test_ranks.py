@@ -121,7 +121,9 @@ def test_only_the_first_speaks_and_writes(finished):
     assert "held-out episodes succeed" in said[0][1]
     assert said[1][1:] == ("", "")
     origin = json.loads((folder / "origin.json").read_text())
-    assert origin["command"].startswith("torchrun --nproc-per-node=2 train.py compile=false num_envs=8")
+    assert origin["command"].startswith(
+        "torchrun --nproc-per-node=2 train.py compile=false num_envs=8"
+    )
     assert len((folder / "evaluation.csv").read_text().splitlines()) == 5
     frames = [row.split(",")[0] for row in (folder / "progress.csv").read_text().splitlines()]
     assert frames == ["frames", "128.0", "256.0"]

@@ -1,11 +1,13 @@
 """What several processes of a training recorded is read as one run."""
 
 import polars as pl
+import pytest
 import torch
 from small_run import BATCHES, ENVS, EPISODES, STEPS, record, rollout
 from test_resumed import differently, killed
 
 from resc import keys
+from resc.errors import RecordingError
 from resc.recording import RolloutLog
 from resc.recording.check import check
 
@@ -79,3 +81,10 @@ def test_resumed_ranks_are_read_once(tmp_path):
     assert moved[: 2 * STEPS].abs().max() == 0
     torch.testing.assert_close(moved[2 * STEPS :], torch.full((2 * STEPS, 2 * ENVS), 5.0))
     assert not [fault for fault in check(tmp_path).faults if "not complete" not in fault]
+
+
+def test_runs_of_other_numbers_of_processes_are_not_read_together(tmp_path):
+    recorded(tmp_path / "two" / "rollouts")
+    record(tmp_path / "one" / "rollouts")
+    with pytest.raises(RecordingError, match="of runs of different numbers of processes; open"):
+        RolloutLog(f"{tmp_path}/*")
