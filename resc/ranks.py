@@ -182,10 +182,12 @@ def average_(tensors: Sequence[Shaped[Tensor, "..."]]) -> None:
     """Puts the means over the ranks into float tensors, all with one message."""
     if count() == 1:
         return
-    flat = mean(torch.cat([tensor.reshape(-1) for tensor in tensors]))
-    parts = flat.split([tensor.numel() for tensor in tensors])
-    for tensor, part in zip(tensors, parts, strict=True):
-        tensor.copy_(part.view_as(tensor))
+    flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
+    with _together():
+        dist.all_reduce(flat, group=_group(flat.is_cuda))
+    parts = flat.div_(count()).split([tensor.numel() for tensor in tensors])
+    views = [part.view_as(tensor) for tensor, part in zip(tensors, parts, strict=True)]
+    torch._foreach_copy_(list(tensors), views)
 
 
 def take_card(device: str) -> None:
