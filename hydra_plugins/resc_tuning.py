@@ -3,6 +3,7 @@
 hydra-optuna-sweeper 1.3.0 wants optuna below 3.
 """
 
+import fcntl
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,13 +26,15 @@ from resc.sweeps.launchers import needed
 from resc.sweeps.sweep import require_success
 
 DATABASE = "optuna.db"
+ASKING = ".asking"
+"""Locked while trials are chosen."""
 
 
 class OptunaSweeper(Sweeper):
     """Chooses the next runs by what came of those before, with Optuna's TPE sampler.
 
     Maximises one number of the runs' summaries. The study is kept in the sweep's folder, so that an
-    interrupted one goes on.
+    interrupted one goes on, and several processes may tune it at a time.
 
     Args:
         objective: The number in summary.json.
@@ -86,13 +89,12 @@ class OptunaSweeper(Sweeper):
         states = optuna.trial.TrialState
         begun = [t for t in study.trials if t.state == states.RUNNING]
         failed: list[Outcome] = []
+        elsewhere: list[Outcome] = []
         while begun or len(study.trials) < self.trials:
-            # Seeded by what is known, so that a study that goes on draws what it would have drawn.
-            study.sampler = optuna.samplers.TPESampler(seed=self.seed + len(study.trials))
-            count = min(self.batch, self.trials - len(study.trials))
             before = len(study.trials) - len(begun)
-            trials = begun or [study.ask(tuned) for _ in range(count)]
-            begun = []
+            trials, begun = begun or self._asked(study, tuned), []
+            if not trials:  # another process asked for the last
+                break
             jobs = [
                 self.launcher.job(t.number, [*fixed, *(f"{k}={v}" for k, v in t.params.items())])
                 for t in trials
@@ -100,16 +102,33 @@ class OptunaSweeper(Sweeper):
             total = max(self.trials, before + len(jobs))
             outcomes = self.launcher.run(jobs, before=before, total=total)
             for trial, outcome in zip(trials, outcomes, strict=True):
-                if outcome.status in ("stopped", "busy"):
+                if outcome.status == "busy":  # another process that tunes the study makes it
+                    elsewhere.append(outcome)
+                    continue
+                if outcome.status == "stopped":
                     require_success([outcome], folder)
                 value = self._value_of(outcome)
                 if math.isfinite(value):
                     study.set_user_attr("objective", self.objective)
-                    study.tell(trial.number, value)
+                    study.tell(trial.number, value, skip_if_finished=True)
                 else:
                     failed.append(outcome)
-                    study.tell(trial.number, state=states.FAIL)
-        self._conclude(study, failed)
+                    study.tell(trial.number, state=states.FAIL, skip_if_finished=True)
+        open_ones = [o for o in elsewhere if not o.job.finished]
+        self._conclude(study, [*failed, *open_ones])
+
+    def _asked(self, study: Any, tuned: Mapping[str, Any]) -> list[Any]:  # noqa: ANN401 - Optuna's
+        """The next trials, by one process at a time of those that tune the study.
+
+        Seeded by what is known, so that a study that goes on draws what it would have drawn, and no
+        two processes draw the same.
+        """
+        optuna = needed("optuna", "optuna")
+        with (self.launcher.folder / ASKING).open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            count = min(self.batch, self.trials - len(study.trials))
+            study.sampler = optuna.samplers.TPESampler(seed=self.seed + len(study.trials))
+            return [study.ask(tuned) for _ in range(count)]
 
     def _space(self, arguments: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
         """What is tuned, by key, and the overrides that all trials share.
@@ -153,7 +172,7 @@ class OptunaSweeper(Sweeper):
             )
         return math.nan if value is None else float(value)
 
-    def _conclude(self, study: Any, failed: Sequence[Outcome]) -> None:  # noqa: ANN401 - Optuna's
+    def _conclude(self, study: Any, unfinished: Sequence[Outcome]) -> None:  # noqa: ANN401 - Optuna's
         folder = self.launcher.folder
         done = [t for t in study.trials if t.value is not None]
         if done:
@@ -163,8 +182,8 @@ class OptunaSweeper(Sweeper):
             print(
                 f"Best of {len(done)} is run {best.number}, {self.objective} {best.value}: {chosen}"
             )
-        if failed:
-            require_success(failed, folder)
+        if unfinished:
+            require_success(unfinished, folder)
 
 
 def _open_study(folder: Path) -> Any:  # noqa: ANN401 - Optuna's

@@ -5,10 +5,10 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"errors", "keys", "moved", "places"},
+    {"cuda_graph", "errors", "keys", "moved", "places"},
+    {"ranks"},
     {
         "console",
-        "cuda_graph",
         "math",
         "process",
         "quantities",
