@@ -25,15 +25,7 @@ from resc.learning.progress import describe
 from resc.learning.training import train_and_save
 from resc.learning.training_run import TrainingRun
 from resc.process import prepare_process
-from resc.run_folder import (
-    CONFIG,
-    finish_run,
-    is_finished,
-    link_latest,
-    put_aside,
-    succeeded,
-    summary_of,
-)
+from resc.run_folder import CONFIG, finish_run, link_latest, put_aside, succeeded
 from resc.settings import RESUMABLE, check_settings
 from resc.starting.launch import answering, launch, refuse_doubles
 from resc.starting.origin import note_origin
@@ -54,9 +46,8 @@ def main(config: DictConfig) -> None:
         if config["resume"]:
             taken = {name: OmegaConf.select(config, name) for name in RESUMABLE}
             config = beginning.resumed(folder, overrides, taken, config["resume"])
-            summary = summary_of(folder)
-            if is_finished(folder) and summary["frames"] >= config["total_frames"]:
-                print(f"{succeeded(summary)} already; a larger total_frames trains it further.")
+            if told := beginning.trained_already(folder, config["total_frames"]):
+                print(told)
                 return
         beginning.require_one_training(config, folder)
         run(TrainingRun(config, overrides), folder)

@@ -213,12 +213,19 @@ def take_card(device: str) -> None:
     torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", rank())))
 
 
-def started_by(command: str) -> str:
-    """The command that starts as many processes as this training has, from that of one."""
-    if count() == 1:
+def started_by(command: str, processes: int | None = None) -> str:
+    """The command that starts so many processes, or as many as this training has, from that of one.
+
+    Args:
+        command: That of one.
+        processes: How many, if not as many as there are.
+    """
+    processes = processes or count()
+    if processes == 1:
         return command
-    here = int(os.environ.get("LOCAL_WORLD_SIZE", count()))
-    nodes = f"--nnodes={count() // here} " if here < count() else ""
+    here = int(os.environ.get("LOCAL_WORLD_SIZE", processes))
+    here = here if processes == count() else processes
+    nodes = f"--nnodes={processes // here} " if here < processes else ""
     script = command.removeprefix("python ")
     script = script if script != command else f"--no-python {command}"
     return f"torchrun {nodes}--nproc-per-node={here} {script}"

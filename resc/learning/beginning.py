@@ -22,7 +22,9 @@ from resc.run_folder import (
     ORIGIN,
     SUMMARY,
     claimed,
+    is_finished,
     json_of,
+    succeeded,
     summary_of,
     sweep_of,
 )
@@ -53,6 +55,14 @@ def require_one_training(settings: Any, folder: Path) -> None:  # noqa: ANN401 -
                 f"{name} is {ours} in process 0 of this training, but {theirs} in process "
                 f"{number}; start all of them with the same command and the same files."
             )
+
+
+def trained_already(folder: Path, total_frames: int) -> str:
+    """What to say of a run that has nothing left to train; nothing where it has."""
+    summary = summary_of(folder)
+    if not is_finished(folder) or summary["frames"] < total_frames:
+        return ""
+    return f"{succeeded(summary)} already; a larger total_frames trains it further."
 
 
 def resumed(

@@ -12,6 +12,7 @@ from resc.errors import CheckpointError
 from resc.learning.trainer import Trainer
 from resc.policies.stored import fitting, read, require_same_run, write_atomically
 from resc.run_folder import EXPERIENCE
+from resc.sweep_folder import go_on
 
 NEEDED = ("algorithm", "collector", "world", "observation", "pool", "layout", "curricula")
 """A file without these is not a checkpoint."""
@@ -76,10 +77,10 @@ def _own(content: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
     """What a checkpoint holds of this rank."""
     states = [content, *content.get("ranks", ())]
     if len(states) != ranks.count():
-        start = f"torchrun --nproc-per-node={len(states)}" if len(states) > 1 else "python"
+        again = ranks.started_by(go_on(path.parent), len(states))
         raise CheckpointError(
             f"{path} was made by {len(states)} process(es), but this run has {ranks.count()}; go "
-            f"on with {start} train.py resume={path.parent}"
+            f"on with: {again}"
         )
     return states[ranks.rank()]
 

@@ -163,7 +163,7 @@ def test_finished_run_trains_further_with_the_same_number_of_processes(finished)
     assert not log.superseded
     ((code, _, errors),) = Ranks([f"resume={folder}", "total_frames=512"]).end()
     assert code == 1
-    assert "was made by 2 process(es), but this run has 1; go on with torchrun" in errors
+    assert "was made by 2 process(es), but this run has 1; go on with: torchrun" in errors
 
 
 WRONG = {
