@@ -59,6 +59,14 @@ class Planner(ABC):
     finished: bool
     """Whether the last trajectory has been flown to its end, and no other will follow."""
 
+    def facts(self) -> dict[str, str]:
+        """Its numbers, words and switches, for a report of what flew."""
+        plain = {k: v for k, v in vars(self).items() if isinstance(v, bool | int | float | str)}
+        return {
+            name: f"{value:g}" if isinstance(value, float) else str(value)
+            for name, value in plain.items()
+        }
+
     @abstractmethod
     def begin(
         self,

@@ -1,7 +1,7 @@
 """One pilot on all courses of an evaluation, and what it leaves in a folder."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +50,15 @@ class Contest:
         """What a course is flown under."""
         return self.rules[course.own_routes]
 
+    def of(self, pilot: Pilot) -> "Contest":
+        """The same as a pilot flies it, which may find its own way or bring parts of its own."""
+        courses, rules = self.courses, self.rules
+        if pilot.finds_its_way:
+            courses = [course.to_the_goal() for course in courses]
+        if pilot.parts:
+            rules = {own: replace(rule, replaced=pilot.parts) for own, rule in rules.items()}
+        return replace(self, courses=courses, rules=rules)
+
 
 @dataclass(frozen=True)
 class Result:
@@ -76,6 +85,7 @@ class Result:
 
 def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Result:
     """Flies every course, and leaves tables, pictures and recordings in the folder."""
+    contest = contest.of(pilot)
     courses, limits = contest.courses, contest.limits
     flown = fly_courses(courses, pilot, contest.rules, folder)
     folder.mkdir(parents=True, exist_ok=True)
