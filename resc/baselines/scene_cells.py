@@ -1,4 +1,4 @@
-"""The obstacles of a scene as the cells that planners see."""
+"""The obstacles of a scene of the pool, and the cells of them that planners see."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,21 +9,31 @@ from resc.envs.stages import World
 from resc.scenes.layout import PARKED_M
 
 
+def standing(maps: World, entry: int) -> tuple[Float[np.ndarray, "k 4"], Float[np.ndarray, "m 3"]]:
+    """Boxes `[x, y, len_x, len_y]` and pillars `[x, y, radius]` of a scene [m], without spares.
+
+    Args:
+        maps: What all flights share.
+        entry: Which scene.
+    """
+    boxes, pillars = (
+        maps[key][entry].double().cpu().numpy().round(6) for key in (keys.BOXES_W, keys.PILLARS_W)
+    )
+    return boxes[boxes[:, 0] < PARKED_M / 2], pillars[pillars[:, 0] < PARKED_M / 2]
+
+
 def obstacle_cells(
     maps: World, entry: int, known: dict[bytes, Float[np.ndarray, "k 3"]]
 ) -> Float[np.ndarray, "k 3"]:
-    """Centres of the occupied cells of a scene of the pool [m].
+    """Centres of the occupied cells of a scene [m].
 
     Args:
         maps: What all flights share.
         entry: Which scene.
         known: Those of earlier calls, so that flights of one map share them.
     """
-    boxes, pillars = (
-        maps[key][entry].double().cpu().numpy() for key in (keys.BOXES_W, keys.PILLARS_W)
-    )
+    boxes, pillars = standing(maps, entry)
     name = boxes.tobytes() + pillars.tobytes()
     if name not in known:
-        there = (part[part[:, 0] < PARKED_M / 2].round(6) for part in (boxes, pillars))
-        known[name] = columns(*(part.tolist() for part in there))
+        known[name] = columns(boxes.tolist(), pillars.tolist())
     return known[name]
