@@ -41,6 +41,7 @@ class Mpc(Pilot):
         steps: Of the horizon.
         step_s: A step of the horizon, a multiple of the control step.
         lookahead_m: How far each step is drawn on.
+        beside_m: Greatest distance to the straight lines, whose control points are to be passed.
         along: Price of being short of that.
         across: Price of being beside the path.
         jerk: Price of the jerk.
@@ -57,10 +58,11 @@ class Mpc(Pilot):
         margin_m: NotNegative = 0.34,
         steps: Count = 20,
         step_s: Positive = 0.1,
-        lookahead_m: Positive = 1.0,
+        lookahead_m: Positive = 0.5,
+        beside_m: Positive = 0.6,
         along: Positive = 1.0,
         across: Positive = 0.05,
-        jerk: Positive = 1e-4,
+        jerk: Positive = 1e-3,
         restart_m: Positive = 0.2,
         tracker: Tracker | None = None,
     ) -> None:
@@ -71,6 +73,7 @@ class Mpc(Pilot):
             speed_mps=speed_mps,
             acceleration_mps2=acceleration_mps2,
             jerk_mps3=jerk_mps3,
+            beside_m=beside_m,
             weights=Weights(along=along, across=across, jerk=jerk),
         )
         self.step_s = step_s

@@ -44,6 +44,11 @@ class Aim(NamedTuple):
     points: Float[np.ndarray, "t 2"]
     along: Float[np.ndarray, "t 2"]
 
+    @property
+    def across(self) -> Float[np.ndarray, "t 2"]:
+        """To the left of the path."""
+        return np.stack((-self.along[:, 1], self.along[:, 0]), -1)
+
 
 class Sides(NamedTuple):
     """Half-planes n . p >= b in which each point of the horizon is to be: [t, k, 2] and [t, k]."""
@@ -70,6 +75,7 @@ class Programme:
         speed_mps: Limit of the speed.
         acceleration_mps2: Limit of the acceleration.
         jerk_mps3: Limit of the jerk.
+        beside_m: Limit of the distance to the path.
         weights: Prices.
     """
 
@@ -81,11 +87,13 @@ class Programme:
         speed_mps: float,
         acceleration_mps2: float,
         jerk_mps3: float,
+        beside_m: float,
         weights: Weights,
     ) -> None:
         self.steps, self.step_s = steps, step_s
         self.speed_mps = speed_mps
         self.acceleration_mps2 = acceleration_mps2
+        self.beside_m = beside_m
         self.weights = weights
         ends = np.arange(1, steps + 1) * step_s
         self.ends = Rows.at(ends, steps, step_s)
@@ -94,7 +102,7 @@ class Programme:
         angles = np.arange(SIDES) * 2 * np.pi / SIDES
         self.sides = np.stack((np.cos(angles), np.sin(angles)), -1)
         self.room = jerk_mps3 / np.sqrt(2)
-        count = steps * (len(ABOUT) + SIDES + POINTS * NEAREST)
+        count = steps * (len(ABOUT) + SIDES + 2 + POINTS * NEAREST)
         self.solver = DenseSolver(self.unknowns, count)
 
     def solve(
@@ -114,7 +122,7 @@ class Programme:
             walls: For `POINTS` points of every step.
         """
         h, g = self._cost(start, aim)
-        a, limit = self._limits(start, expected, walls)
+        a, limit = self._limits(start, expected, aim, walls)
         low = np.append(np.full(2 * self.steps, -self.room), 0.0)
         high = np.append(np.full(2 * self.steps, self.room), np.inf)
         found = self.solver.solve(h=h, g=g, a=a, uba=limit, lbx=low, ubx=high)
@@ -124,9 +132,8 @@ class Programme:
         self, start: MassPoint, aim: Aim
     ) -> tuple[Float[np.ndarray, "v v"], Float[np.ndarray, " v"]]:
         free, of_jerk = self.ends.free(start)[0], self.ends.of_jerk[0]
-        across = np.stack((-aim.along[:, 1], aim.along[:, 0]), -1)
         h, g = np.zeros((self.unknowns,) * 2), np.zeros(self.unknowns)
-        for weight, way in ((self.weights.along, aim.along), (self.weights.across, across)):
+        for weight, way in ((self.weights.along, aim.along), (self.weights.across, aim.across)):
             rows = np.hstack((way[:, :1] * of_jerk, way[:, 1:] * of_jerk))
             error = ((free - aim.points) * way).sum(1)
             h[:-1, :-1] += 2 * weight * rows.T @ rows
@@ -136,16 +143,19 @@ class Programme:
         return h, g
 
     def _limits(
-        self, start: MassPoint, expected: Float[np.ndarray, "t 2"], walls: Sides
+        self, start: MassPoint, expected: Float[np.ndarray, "t 2"], aim: Aim, walls: Sides
     ) -> tuple[Float[np.ndarray, "c v"], Float[np.ndarray, " c"]]:
         """Rows a x <= limit; the slack widens all of them."""
-        _, velocity, acceleration = self.ends.free(start)
-        _, of_velocity, of_acceleration = self.ends.of_jerk
+        position, velocity, acceleration = self.ends.free(start)
+        of_position, of_velocity, of_acceleration = self.ends.of_jerk
         angle = np.arctan2(expected[:, 1], expected[:, 0])[:, None] + ABOUT
         ways = np.stack((np.cos(angle), np.sin(angle)), -1)
         sides = np.broadcast_to(self.sides, (self.steps, *self.sides.shape))
+        beside = np.stack((aim.across, -aim.across), 1)
+        corridor = (beside * aim.points[:, None]).sum(-1) + self.beside_m
         within = self.acceleration_mps2 * np.cos(np.pi / SIDES)
         parts = (
+            _rows(beside, of_position, position, corridor),
             _rows(ways, of_velocity, velocity, np.full(ways.shape[:2], self.speed_mps)),
             _rows(sides, of_acceleration, acceleration, np.full(sides.shape[:2], within)),
             _rows(

@@ -10,6 +10,7 @@ from resc.errors import RecordingError
 from resc.evaluation.courses import Course
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
+from resc.evaluation.planning_calls import failing, write_calls
 from resc.evaluation.references import Reference, References, crossings, digest
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import Rules
@@ -20,10 +21,11 @@ from resc.flying.pilot import Pilot
 from resc.planning.time_optimal import Limits
 
 ROLLOUTS, SCENES = "rollouts", "scenes"
-REPORT, SCENES_TABLE, FLIGHTS_TABLE, PICTURE = (
+REPORT, SCENES_TABLE, FLIGHTS_TABLE, CALLS_TABLE, PICTURE = (
     "report.md",
     "scenes.csv",
     "flights.csv",
+    "planning_calls.csv",
     "flights.png",
 )
 
@@ -72,6 +74,8 @@ class Result:
         flying_s: What they took.
         text: The report.
         told: What to say of the 3-D scenes, nothing if there are none.
+        contest: What it flew.
+        flown: The flights of every scene, by its name.
     """
 
     pilot: Pilot
@@ -81,6 +85,8 @@ class Result:
     flying_s: float
     text: str
     told: str
+    contest: Contest
+    flown: Mapping[str, Flights]
 
 
 def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Result:
@@ -100,7 +106,9 @@ def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Res
     table = join(tables)
     write_scenes(reports, folder / SCENES_TABLE)
     write_flights(table, folder / FLIGHTS_TABLE)
-    text = f"{markdown(reports, limits)}\n{failures(reports)}".rstrip() + "\n"
+    write_calls(flown, folder / CALLS_TABLE)
+    lost = "\n".join([failures(reports), failing(flown)]).strip()
+    text = f"{markdown(reports, limits)}\n{lost}".rstrip() + "\n"
     (folder / REPORT).write_text(f"# {title}\n\n{text}")
     return Result(
         pilot=pilot,
@@ -110,6 +118,8 @@ def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Res
         flying_s=sum({flights.wall_s for flights in flown.values()}),
         text=text,
         told=_write_scene_files(contest, folder),
+        contest=contest,
+        flown=flown,
     )
 
 

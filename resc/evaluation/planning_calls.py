@@ -1,0 +1,50 @@
+"""What the planning of pilots took, and why it failed."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from resc.evaluation.table import write_flights
+from resc.flying.flights import Flights
+from resc.flying.pilot import PlanningCall
+
+
+def write_calls(flown: Mapping[str, Flights], path: Path) -> None:
+    """One row for each call; no file if nothing was planned in flight.
+
+    Args:
+        flown: The flights of every scene.
+        path: Where it goes.
+    """
+    rows = [(scene, *call) for scene, flights in flown.items() for call in flights.calls]
+    if rows:
+        names = ("scene", "flight", "time_s", "took_s", "failed")
+        columns = zip(*rows, strict=True)
+        write_flights(
+            {name: np.array(column) for name, column in zip(names, columns, strict=True)}, path
+        )
+
+
+def milliseconds(calls: Sequence[PlanningCall]) -> tuple[float, float]:
+    """Median and 99th percentile of what calls took [ms]; NaN without any."""
+    if not calls:
+        return math.nan, math.nan
+    took = np.array([call.took_s for call in calls]) * 1e3
+    return float(np.median(took)), float(np.percentile(took, 99))
+
+
+def failing(flown: Mapping[str, Flights]) -> str:
+    """How many calls failed and for what reason most of them, a line for each scene."""
+    lines = []
+    for scene, flights in flown.items():
+        reasons = Counter(call.failed for call in flights.calls if call.failed)
+        if reasons:
+            (reason, number), *_ = reasons.most_common(1)
+            lines.append(
+                f"{scene}: {reasons.total()} of {len(flights.calls)} planning calls failed, "
+                f"{number} of them by {reason}"
+            )
+    return "\n".join(lines)
