@@ -1,4 +1,4 @@
-"""The compiled loops of `resc.baselines.voxel_map`: `cells`, `corner`, `per_m` are those of its map.
+"""The compiled loops of `resc.baselines.voxel_map`; `cells`, `corner` and `per_m` are its own.
 
 `no_type_check`: numba cannot compile the wrappers of the tests' type checker.
 """
