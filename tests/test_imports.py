@@ -18,8 +18,8 @@ FLOORS = (
     {"planning", "policies", "recording"},
     {"setup", "flight_logs"},
     {"viewing", "flying", "door"},
-    {"learning", "evaluation", "log_command", "compile_kernels"},
-    {"studies", "deployment"},
+    {"baselines", "learning", "evaluation", "log_command"},
+    {"studies", "deployment", "compile_kernels"},
     {"sweeps"},
 )
 """From the ground up. Rooms of one floor do not know each other."""
