@@ -1,8 +1,7 @@
 """L-BFGS with the line search of More and Thuente, over the control points that are free.
 
-Written out because the objective changes under way: a collision that no pair knows adds pairs in
-the middle of a line search, and ends the descent after it ("rebound"). Tolerances and budgets
-decide where the released planner stops, well before a minimum, so they are its own.
+Written out because the released planner stops well before a minimum: its line search and its
+tolerance decide where, and a collision that no pair knows ends a descent amid a line search.
 """
 
 import math
@@ -12,9 +11,10 @@ import numpy as np
 from numba import njit
 
 from resc.baselines.ego_planner.cost_kernels import collision, feasibility, fit, smoothness
-from resc.baselines.ego_planner.pair_kernels import FIXED, add_pairs, new_spans
+from resc.baselines.ego_planner.pair_kernels import FIXED, has_new_collision
 
-CONVERGED, OUT_OF_BUDGET, REBOUND, ENDS_BLOCKED, LINE_SEARCH = range(5)
+CONVERGED, OUT_OF_BUDGET, REBOUND, LINE_SEARCH = range(4)
+"""How a descent ends."""
 SEARCH_LIMIT = 40
 """Trials of a line search."""
 DECREASE, CURVATURE = 1e-4, 0.9
@@ -28,7 +28,7 @@ SMOOTH_M2 = 0.1
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def descend(points, weights, limits, pairs, reference, budget, seeking):
+def descend(points, weights, limits, pairs, reference, budget, watch):
     """Moves the free points downhill, in place; how it ended.
 
     Args:
@@ -39,14 +39,14 @@ def descend(points, weights, limits, pairs, reference, budget, seeking):
         reference: Points to stay near, or none [m].
         budget: Most iterations, those that L-BFGS remembers, and the gradient's norm, relative to
             that of the free coordinates or 1, at which it stops.
-        seeking: Whether collisions are looked for; share of the points that are checked, edge and
-            reach of the lattice of paths, and the space of `path_kernels`.
+        watch: Whether new collisions end it; the share of the points that is checked, the edge of a
+            cell, and the space of `path_kernels`.
     """
     iterations, memory, tolerance = budget
     free = points[FIXED : len(points) - FIXED].reshape(-1)
-    objective = (points, weights, limits, pairs, reference, seeking, np.zeros(2, np.int64))
+    objective = (points, weights, limits, pairs, reference, watch, np.zeros(1, np.int64))
     gradient = np.empty_like(free)
-    cost = _evaluate(objective, gradient)
+    cost, _ = _evaluate(objective, gradient)
     moves, turns = np.empty((memory, len(free))), np.empty((memory, len(free)))
     products, stored = np.empty(memory), 0
     direction = -gradient
@@ -55,14 +55,9 @@ def descend(points, weights, limits, pairs, reference, budget, seeking):
     step = 1.0 / _norm(direction)
     for _ in range(iterations):
         before, slope = free.copy(), gradient.copy()
-        cost, found = _search(objective, free, cost, gradient, direction, step)
-        stop = objective[6][1]
-        if stop == ENDS_BLOCKED:
-            return ENDS_BLOCKED
-        if not found:
-            return LINE_SEARCH
-        if stop == REBOUND:
-            return REBOUND
+        cost, ended = _search(objective, free, cost, gradient, direction, step)
+        if ended != CONVERGED:
+            return ended
         if _small(gradient, free, tolerance):
             return CONVERGED
         place = stored % memory
@@ -78,26 +73,19 @@ def descend(points, weights, limits, pairs, reference, budget, seeking):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _evaluate(objective, gradient):
-    """The cost; its gradient is left. Adds pairs of collisions that are new."""
-    points, weights, limits, pairs, reference, seeking, progress = objective
+    """The cost, and whether a collision is new; leaves the gradient."""
+    points, weights, limits, pairs, reference, watch, evaluations = objective
     slopes = np.zeros_like(points)
     smooth = smoothness(points, weights[0], slopes)
-    seek, checked, resolution, reach, space = seeking
-    under_way = progress[0] > UNDER_WAY and smooth < SMOOTH_M2 * (len(points) - 2 * FIXED)
-    if seek and under_way:
-        spans, ended = new_spans(points, pairs, checked, resolution, space)
-        if not ended:
-            progress[1] = ENDS_BLOCKED
-        elif len(spans) > 0:
-            add_pairs(points, spans, pairs, resolution, reach, space)
-            progress[1] = REBOUND
+    under_way = evaluations[0] > UNDER_WAY and smooth < SMOOTH_M2 * (len(points) - 2 * FIXED)
+    collides = watch[0] and under_way and has_new_collision(points, pairs, watch)
     cost = weights[0] * smooth
     cost += weights[1] * collision(points, pairs, limits[0], weights[1], slopes)
     cost += weights[2] * feasibility(points, limits, weights[2], slopes)
     cost += weights[3] * fit(points, reference, weights[3], slopes)
     gradient[:] = slopes[FIXED : len(points) - FIXED].reshape(-1)
-    progress[0] += 1
-    return cost
+    evaluations[0] += 1
+    return cost, collides
 
 
 @njit(cache=True, nogil=True)
@@ -134,13 +122,13 @@ def _downhill(gradient, moves, turns, products, stored, scale):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _search(objective, free, cost, gradient, direction, step):
-    """Moves along a direction to where the strong Wolfe conditions hold; whether they do.
+    """Moves along a direction to where the strong Wolfe conditions hold; the cost, how it ended.
 
     The interval of uncertainty has ends `best` and `other`: [step, cost, slope] of each.
     """
     origin, slope = free.copy(), np.dot(gradient, direction)
     if slope > 0.0 or step <= 0.0:
-        return cost, False
+        return cost, LINE_SEARCH
     wanted, start = DECREASE * slope, cost
     best, other = np.array([0.0, cost, slope]), np.array([0.0, cost, slope])
     bracketed, first_stage, usable = False, True, True
@@ -156,15 +144,17 @@ def _search(objective, free, cost, gradient, direction, step):
         if bracketed and (outside or narrow):
             step = best[0]
         free[:] = origin + step * direction
-        cost = _evaluate(objective, gradient)
+        cost, collides = _evaluate(objective, gradient)
+        if collides:
+            return cost, REBOUND
         now = np.dot(gradient, direction)
         bound = start + step * wanted
         if bracketed and (step <= low or step >= high or not usable or narrow):
-            return cost, False
+            return cost, LINE_SEARCH
         if step in (SHORTEST, LONGEST):
-            return cost, False
+            return cost, LINE_SEARCH
         if cost <= bound and abs(now) <= -CURVATURE * slope:
-            return cost, True
+            return cost, CONVERGED
         if first_stage and cost <= bound and now >= DECREASE * slope:
             first_stage = False
         shift = wanted if first_stage and bound < cost <= best[1] else 0.0
@@ -180,7 +170,7 @@ def _search(objective, free, cost, gradient, direction, step):
             if abs(other[0] - best[0]) >= 0.66 * width_before:
                 step = best[0] + 0.5 * (other[0] - best[0])
             width_before, width = width, abs(other[0] - best[0])
-    return cost, False
+    return cost, LINE_SEARCH
 
 
 @njit(cache=True, nogil=True)

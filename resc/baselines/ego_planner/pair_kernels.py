@@ -24,7 +24,7 @@ SETTLED = 2
 def last_tested(count, checked):
     """The last control point that is tested for collisions, of those that are free to move."""
     free = count - 2 * FIXED
-    return count - FIXED - (free - int(free * checked + 1e-9))
+    return count - FIXED - int(free * (1.0 - checked) + 1e-9)
 
 
 @njit(cache=True, nogil=True)
@@ -79,6 +79,20 @@ def new_spans(points, pairs, checked, resolution, space):
         spans[found, 0], spans[found, 1] = begin, end
         found, i = found + 1, end + 2
     return spans[:found], True
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def has_new_collision(points, pairs, watch):
+    """Whether a control point is in an obstacle that none of its pairs knows.
+
+    `watch` is anything, the share of the points that is checked, the edge of a cell, and the space.
+    """
+    _, checked, resolution, space = watch
+    for i in range(FIXED - 1, last_tested(len(points), checked) + 1):
+        if is_blocked(points[i], space) and not _is_known(points[i], i, pairs, resolution):
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -94,7 +94,7 @@ def _search(begin, end, size, lowest, step, space):
         for turn in range(27):
             there[0], there[1] = here[0] + turn // 9 - 1, here[1] + turn // 3 % 3 - 1
             there[2] = here[2] + turn % 3 - 1
-            if turn == 13 or (there < 0).any() or (there >= size).any():
+            if turn == 13 or not _inside(there, size):
                 continue
             other = _number(there, size)
             if state[other] == CLOSED:
@@ -121,6 +121,15 @@ def _search(begin, end, size, lowest, step, space):
 @no_type_check
 def _number(node, size):
     return (node[0] * size[1] + node[1]) * size[2] + node[2]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _inside(node, size):
+    for axis in range(3):
+        if node[axis] < 0 or node[axis] >= size[axis]:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)

@@ -6,14 +6,9 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from resc.baselines.ego_planner.curve_kernels import first_hit
-from resc.baselines.ego_planner.descent_kernels import (
-    ENDS_BLOCKED,
-    LINE_SEARCH,
-    REBOUND,
-    descend,
-)
+from resc.baselines.ego_planner.descent_kernels import LINE_SEARCH, REBOUND, descend
 from resc.baselines.ego_planner.initial import Trajectory
-from resc.baselines.ego_planner.pair_kernels import FIXED, add_pairs, colliding_spans
+from resc.baselines.ego_planner.pair_kernels import add_pairs, colliding_spans, new_spans
 from resc.baselines.ego_planner.settings import Failure, Settings, Space
 
 MOST_REBOUNDS = 20
@@ -59,6 +54,7 @@ def rebounded(trajectory: Trajectory, settings: Settings, space: Space) -> Traje
             rebounds += 1
             if rebounds > MOST_REBOUNDS:
                 raise Failure(f"Rebound: still new collisions after {MOST_REBOUNDS} rebounds.")
+            _add_new(trajectory, pairs, settings, space)
             continue
         hit_s = collides_at(trajectory, settings, space)
         if hit_s < 0.0:
@@ -73,16 +69,23 @@ def rebounded(trajectory: Trajectory, settings: Settings, space: Space) -> Traje
         collision *= 2.0
 
 
+def _add_new(trajectory: Trajectory, pairs: Pairs, settings: Settings, space: Space) -> None:
+    """Adds the pairs of collisions that none knows."""
+    points, checked = trajectory.points, settings.quirks.checked_share
+    spans, ended = new_spans(points, pairs, checked, settings.resolution, space)
+    if not ended:
+        raise Failure("Rebound: the end of the trajectory lies in an obstacle.")
+    add_pairs(points, spans, pairs, settings.resolution, settings.reach, space)
+
+
 def _descended(
     trajectory: Trajectory, collision: float, pairs: Pairs, settings: Settings, space: Space
 ) -> int:
     """How the descent ended; it moves the points in place."""
     weights = (settings.weights.smoothness, collision, settings.weights.feasibility, 0.0)
-    seeking = (True, settings.quirks.checked_share, settings.resolution, settings.reach, space)
+    watch = (True, settings.quirks.checked_share, settings.resolution, space)
     limits = limits_of(trajectory, settings)
-    ended = descend(trajectory.points, weights, limits, pairs, NO_REFERENCE, BUDGET, seeking)
-    if ended == ENDS_BLOCKED:
-        raise Failure("Rebound: the end of the trajectory lies in an obstacle.")
+    ended = descend(trajectory.points, weights, limits, pairs, NO_REFERENCE, BUDGET, watch)
     if ended == LINE_SEARCH:
         raise Failure("Rebound: the line search of the optimiser found no lower cost.")
     return ended

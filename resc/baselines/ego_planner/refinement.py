@@ -33,9 +33,9 @@ def refined(trajectory: Trajectory, settings: Settings, space: Space) -> Traject
     ends = EndDerivatives(*velocities, *accelerations)
     result = Trajectory(np.ascontiguousarray(fit(curve, interval, ends)), interval)
     weights = (settings.weights.smoothness, 0.0, settings.weights.feasibility, settings.weights.fit)
-    seeking = (False, 1.0, settings.resolution, settings.reach, space)
+    watch = (False, 1.0, settings.resolution, space)
     limits, pairs = limits_of(result, settings), no_pairs(0)
-    if descend(result.points, weights, limits, pairs, curve, BUDGET, seeking) == LINE_SEARCH:
+    if descend(result.points, weights, limits, pairs, curve, BUDGET, watch) == LINE_SEARCH:
         raise Failure("Refinement: the line search of the optimiser found no lower cost.")
     hit_s = collides_at(result, settings, space)
     if hit_s >= 0.0:
