@@ -66,6 +66,22 @@ class CubicBSpline:
     def _knot_time(self, time_s: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
         return np.clip(time_s, 0.0, self.duration_s) + self.start_s
 
+    def motion(self, time_s: float) -> tuple[Float[np.ndarray, " 3"], ...]:
+        """Position, velocity, acceleration and jerk at one time, in SI units; quick."""
+        knots, pieces = self._pieces
+        knot_time = min(max(time_s, 0.0), self.duration_s) + self.start_s
+        piece = int(np.searchsorted(knots, knot_time, side="right")) - 1
+        t, (a, b, c, d) = knot_time - knots[piece], pieces[:, piece]
+        position, velocity = ((a * t + b) * t + c) * t + d, (3 * a * t + 2 * b) * t + c
+        return position, velocity, 6 * a * t + 2 * b, 6 * a
+
+    @cached_property
+    def _pieces(self) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "4 p 3"]]:
+        """Knots from `start_s` on, and polynomials of falling powers of the time since each."""
+        knots = self.knots[DEGREE : len(self.control_points)]
+        position, velocity, acceleration = (each(knots) for each in self._derivatives)
+        return knots, np.stack((self.jerk_points / 6, acceleration / 2, velocity, position))
+
     @cached_property
     def velocity_points(self) -> Float[np.ndarray, "p 3"]:
         """Control points of the velocity [m/s]: V_i = 3 (q_{i+1} - q_i) / (u_{i+4} - u_{i+1})."""

@@ -86,3 +86,14 @@ def test_a_fit_of_a_spline_gives_it_back():
     velocity, acceleration = spline.velocity(times), spline.acceleration(times)
     ends = EndDerivatives(velocity[0], velocity[-1], acceleration[0], acceleration[-1])
     assert_allclose(fit(spline.position(times), 0.2, ends), POINTS, atol=1e-9)
+
+
+@pytest.mark.parametrize("time", [-1.0, 0.0, 0.2, 0.31, 0.8, 9.0])
+def test_the_motion_at_one_time_is_that_at_many(time):
+    spline = CubicBSpline(POINTS, KNOTS)
+    position, velocity, acceleration, jerk = spline.motion(time)
+    times = np.array([time])
+    assert_allclose(position, spline.position(times)[0], atol=1e-12)
+    assert_allclose(velocity, spline.velocity(times)[0], atol=1e-12)
+    assert_allclose(acceleration, spline.acceleration(times)[0], atol=1e-9)
+    assert np.abs(spline.jerk_points - jerk).max(1).min() < 1e-8

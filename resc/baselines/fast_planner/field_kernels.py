@@ -1,0 +1,39 @@
+"""Looking up distances between the centres of cells: compiled for `distance_field`.
+
+The kernels are marked `no_type_check`: numba cannot compile the wrappers of the tests' type
+checker.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+FREE_M = 10_000.0
+"""Distance where none was ever computed."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def distance_at(cells, corner, per_m, x, y, outside):
+    """Distance and its slopes along x and y at a point; `outside` is the distance off the map."""
+    at_x, at_y = x * per_m - corner[0] - 0.5, y * per_m - corner[1] - 0.5
+    i, j = int(np.floor(at_x)), int(np.floor(at_y))
+    if i < 0 or j < 0 or i >= cells.shape[0] - 1 or j >= cells.shape[1] - 1:
+        return outside, 0.0, 0.0
+    a, b = at_x - i, at_y - j
+    left = cells[i, j] * (1 - b) + cells[i, j + 1] * b
+    right = cells[i + 1, j] * (1 - b) + cells[i + 1, j + 1] * b
+    rise = (cells[i, j + 1] - cells[i, j]) * (1 - a) + (cells[i + 1, j + 1] - cells[i + 1, j]) * a
+    return left * (1 - a) + right * a, (right - left) * per_m, rise * per_m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def distances_at(cells, corner, per_m, points):
+    """Distance and its slopes along x and y of each point."""
+    result = np.empty((len(points), 3))
+    for n in range(len(points)):
+        found = distance_at(cells, corner, per_m, points[n, 0], points[n, 1], FREE_M)
+        result[n, 0], result[n, 1], result[n, 2] = found
+    return result
