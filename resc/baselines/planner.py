@@ -1,6 +1,7 @@
 """The protocol of a planner: one flight of one vehicle, from the obstacles to what it commands."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -60,12 +61,8 @@ class Planner(ABC):
     """Whether the last trajectory has been flown to its end, and no other will follow."""
 
     def facts(self) -> dict[str, str]:
-        """Its numbers, words and switches, for a report of what flew."""
-        plain = {k: v for k, v in vars(self).items() if isinstance(v, bool | int | float | str)}
-        return {
-            name: f"{value:g}" if isinstance(value, float) else str(value)
-            for name, value in plain.items()
-        }
+        """Its numbers, words and switches, and those of its parts, for a report of what flew."""
+        return dict(_told(self))
 
     @abstractmethod
     def begin(
@@ -99,3 +96,17 @@ class Planner(ABC):
         It hovers at the start before the first plan, at the end of a trajectory, and where the
         planner told it to stop.
         """
+
+
+def _told(part: object, before: str = "") -> Iterator[tuple[str, str]]:
+    """The attributes of an object by their names, those of its parts by dotted ones."""
+    fields = part._asdict() if isinstance(part, tuple) else vars(part)  # pyright: ignore
+    for name, value in fields.items():
+        if name in ("plans", "finished"):
+            continue
+        if isinstance(value, bool | int | float | str | None):
+            yield f"{before}{name}", f"{value:g}" if isinstance(value, float) else str(value)
+        elif type(value) is tuple:
+            yield f"{before}{name}", str(value)
+        elif hasattr(value, "_asdict") or type(value).__module__.startswith("resc."):
+            yield from _told(value, f"{before}{name}.")
