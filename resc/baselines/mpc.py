@@ -56,7 +56,7 @@ class Mpc(Pilot):
         acceleration_mps2: Positive = 5.8,
         jerk_mps3: Positive = 20.0,
         margin_m: NotNegative = 0.34,
-        steps: Count = 20,
+        steps: Count = 15,
         step_s: Positive = 0.1,
         lookahead_m: Positive = 0.5,
         beside_m: Positive = 0.6,
@@ -122,7 +122,9 @@ class Mpc(Pilot):
             self.flights = self._take_off(world)
         going = (world[keys.CLOCK][:, 0] == self.steps).cpu().numpy()
         if self.steps % self.every == 0:
+            passed = world[keys.ROUTE_INDEX][:, 0].tolist()
             for row in going.nonzero()[0]:
+                self.flights[row].next = passed[row] + 1
                 self._plan(row, MassPoint(*(column[row] for column in states)))
         since = (self.steps % self.every) * self.dt_s
         asked = [self._asked(flight, since) for flight in self.flights]

@@ -32,6 +32,9 @@ class MpcFlight:
         path: From the start through the control points to the goal [m].
         margin_m: Distance kept from obstacles.
         lookahead_m: How far ahead of what is expected the steps are drawn to.
+
+    Attributes:
+        next: Number of the point of the path that is to be passed next.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class MpcFlight:
         self.start = MassPoint(path[0], np.zeros(2), np.zeros(2))
         self.jerk = np.zeros((programme.steps, 2))
         self.first = True
+        self.next = 1
 
     def renew(self, start: MassPoint) -> bool:
         """Plans from a state; returns whether a programme was solved, or the last plan goes on."""
@@ -102,7 +106,14 @@ class MpcFlight:
         size = np.linalg.norm(way, axis=1, keepdims=True)
         last = self.path[-1] - self.path[-2]
         ahead = np.where(size > 1e-3, way / size.clip(min=1e-9), last / np.linalg.norm(last))
-        return self.programme.solve(start, velocities[ends], Aim(there, ahead), walls)
+        aim = Aim(there, ahead, self._passing(along))
+        return self.programme.solve(start, velocities[ends], aim, walls)
+
+    def _passing(self, along: Float[np.ndarray, " t"]) -> tuple[int, Float[np.ndarray, "2"]] | None:
+        """The step in which the next control point is passed, and this point."""
+        if self.next >= len(self.path) or along[-1] <= self.at[self.next]:
+            return None
+        return int(np.abs(along - self.at[self.next]).argmin()), self.path[self.next]
 
     def _guess(self, start: MassPoint) -> tuple[Float[np.ndarray, "t 2"], Float[np.ndarray, "t 2"]]:
         """Points along the path, from rest."""

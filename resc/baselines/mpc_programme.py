@@ -18,6 +18,9 @@ ABOUT = np.array([-0.3, 0.0, 0.3])
 """Angles to the expected velocity in which the speed is limited [rad]."""
 NEAREST = 3
 """Obstacles that a point is kept from."""
+SQUARE = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+PASSED_M = 0.35
+"""Half the edge of a square in which a control point is passed; it counts within 0.5 m."""
 POINTS = 2
 """Of a step, that are kept from them."""
 SLACK_COST = 1e4
@@ -39,10 +42,12 @@ class Aim(NamedTuple):
     Args:
         points: Where each is to be [m].
         along: Direction of the path there; errors along and across it cost differently.
+        passing: A step, and the control point that is passed in it [m].
     """
 
     points: Float[np.ndarray, "t 2"]
     along: Float[np.ndarray, "t 2"]
+    passing: tuple[int, Float[np.ndarray, "2"]] | None = None
 
     @property
     def across(self) -> Float[np.ndarray, "t 2"]:
@@ -102,7 +107,7 @@ class Programme:
         angles = np.arange(SIDES) * 2 * np.pi / SIDES
         self.sides = np.stack((np.cos(angles), np.sin(angles)), -1)
         self.room = jerk_mps3 / np.sqrt(2)
-        count = steps * (len(ABOUT) + SIDES + 2 + POINTS * NEAREST)
+        count = steps * (len(ABOUT) + SIDES + 2 + POINTS * NEAREST) + len(SQUARE)
         self.solver = DenseSolver(self.unknowns, count)
 
     def solve(
@@ -162,9 +167,24 @@ class Programme:
                 -walls.normals, self.points.of_jerk[0], self.points.free(start)[0], -walls.offsets
             ),
         )
+        parts = (*parts, self._passing(position, of_position, aim))
         a = np.vstack([rows for rows, _ in parts])
         slack = np.full((len(a), 1), -1.0)
         return np.hstack((a, slack)), np.concatenate([limit for _, limit in parts])
+
+    def _passing(
+        self,
+        free: Float[np.ndarray, "t 2"],
+        of_jerk: Float[np.ndarray, "t n"],
+        aim: Aim,
+    ) -> tuple[Float[np.ndarray, "4 u"], Float[np.ndarray, "4"]]:
+        """Rows that keep one step near the control point that is passed in it, if there is one."""
+        if aim.passing is None:
+            return np.zeros((len(SQUARE), self.unknowns - 1)), np.zeros(len(SQUARE))
+        step, point = aim.passing
+        limit = (SQUARE @ point + PASSED_M)[None]
+        of = slice(step, step + 1)
+        return _rows(SQUARE[None], of_jerk[of], free[of], limit)
 
 
 class DenseSolver:
