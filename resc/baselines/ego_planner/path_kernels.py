@@ -65,8 +65,25 @@ def shortest_path(first, last, step, reach, space):
         if min(begin[axis], end[axis]) < 0 or max(begin[axis], end[axis]) > 2 * size[axis]:
             return nothing
     lowest = middle - step * size
+    if not _joined(begin, end, 2 * size + 1, lowest, step, space):
+        return nothing
     parents, found = _search(begin, end, 2 * size + 1, lowest, step, space)
     return _traced(parents, begin, end, 2 * size + 1, lowest, step) if found else nothing
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _joined(begin, end, size, lowest, step, space):
+    """Whether a path may exist: one on the level of its beginning, as obstacles are columns.
+
+    That there is none is found out a dozen times as fast as on all levels.
+    """
+    if is_blocked(lowest + step * end, space):
+        return False
+    first, last, layer, corner = begin.copy(), end.copy(), size.copy(), lowest.copy()
+    corner[2] += step * begin[2]
+    first[2], last[2], layer[2] = 0, 0, 1
+    return _search(first, last, layer, corner, step, space)[1]
 
 
 @njit(cache=True, nogil=True)
