@@ -10,13 +10,12 @@ from resc.baselines.ego_planner.path_kernels import is_blocked
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def state_at(points, interval, time):
-    """Position, velocity, acceleration and jerk [4, 3] at a time; past the ends, those there."""
+def fill_state(points, interval, time, state):
+    """Sets position, velocity, acceleration, jerk [4, 3] at a time; past the ends, those there."""
     pieces = len(points) - 3
     place = min(max(time / interval, 0.0), float(pieces))
     piece = min(int(place), pieces - 1)
     s = place - piece
-    state = np.empty((4, 3))
     for axis in range(3):
         a, b = points[piece, axis], points[piece + 1, axis]
         c, d = points[piece + 2, axis], points[piece + 3, axis]
@@ -26,16 +25,16 @@ def state_at(points, interval, time):
         state[1, axis] = (linear + s * (2.0 * square + 3.0 * s * cube)) / interval
         state[2, axis] = (2.0 * square + 6.0 * s * cube) / interval**2
         state[3, axis] = 6.0 * cube / interval**3
-    return state
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
 def first_hit(points, interval, begin, end, step, space):
     """The first time, from a beginning in steps to before an end, at which it collides; or -1."""
-    time = begin
+    time, state = begin, np.empty((4, 3))
     while time < end:
-        if is_blocked(state_at(points, interval, time)[0], space):
+        fill_state(points, interval, time, state)
+        if is_blocked(state[0], space):
             return time
         time += step
     return -1.0

@@ -48,24 +48,23 @@ def descend(points, weights, limits, pairs, reference, budget, watch):
     gradient = np.empty_like(free)
     cost, _ = _evaluate(objective, gradient)
     moves, turns = np.empty((memory, len(free))), np.empty((memory, len(free)))
-    products, stored = np.empty(memory), 0
+    products = np.empty(memory)
     direction = -gradient
     if _small(gradient, free, tolerance):
         return CONVERGED
     step = 1.0 / _norm(direction)
-    for _ in range(iterations):
+    for iteration in range(iterations):
         before, slope = free.copy(), gradient.copy()
         cost, ended = _search(objective, free, cost, gradient, direction, step)
         if ended != CONVERGED:
             return ended
         if _small(gradient, free, tolerance):
             return CONVERGED
-        place = stored % memory
+        place = iteration % memory
         moves[place], turns[place] = free - before, gradient - slope
         products[place] = np.dot(moves[place], turns[place])
-        stored += 1
         scale = products[place] / np.dot(turns[place], turns[place])
-        direction = _downhill(gradient, moves, turns, products, stored, scale)
+        direction = _downhill(gradient, moves, turns, products, iteration + 1, scale)
         step = 1.0
     return OUT_OF_BUDGET
 
@@ -121,51 +120,37 @@ def _downhill(gradient, moves, turns, products, stored, scale):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _search(objective, free, cost, gradient, direction, step):
+def _search(objective, free, start, gradient, direction, step):
     """Moves along a direction to where the strong Wolfe conditions hold; the cost, how it ended.
 
     The interval of uncertainty has ends `best` and `other`: [step, cost, slope] of each.
     """
     origin, slope = free.copy(), np.dot(gradient, direction)
     if slope > 0.0 or step <= 0.0:
-        return cost, LINE_SEARCH
-    wanted, start = DECREASE * slope, cost
-    best, other = np.array([0.0, cost, slope]), np.array([0.0, cost, slope])
+        return start, LINE_SEARCH
+    best, other = np.array([0.0, start, slope]), np.array([0.0, start, slope])
     bracketed, first_stage, usable = False, True, True
     width, width_before = LONGEST - SHORTEST, 2.0 * (LONGEST - SHORTEST)
     for trial in range(1, SEARCH_LIMIT + 1):
-        if bracketed:
-            low, high = min(best[0], other[0]), max(best[0], other[0])
-        else:
-            low, high = best[0], step + 4.0 * (step - best[0])
+        low, high = _range(best, other, step, bracketed)
         step = min(max(step, SHORTEST), LONGEST)
-        outside = step <= low or step >= high or trial == SEARCH_LIMIT or not usable
-        narrow = high - low <= EPSILON * high
-        if bracketed and (outside or narrow):
+        over = step <= low or step >= high or not usable or high - low <= EPSILON * high
+        if bracketed and (over or trial == SEARCH_LIMIT):
             step = best[0]
         free[:] = origin + step * direction
         cost, collides = _evaluate(objective, gradient)
         if collides:
             return cost, REBOUND
-        now = np.dot(gradient, direction)
-        bound = start + step * wanted
-        if bracketed and (step <= low or step >= high or not usable or narrow):
-            return cost, LINE_SEARCH
-        if step in (SHORTEST, LONGEST):
-            return cost, LINE_SEARCH
-        if cost <= bound and abs(now) <= -CURVATURE * slope:
+        now, bound = np.dot(gradient, direction), start + step * DECREASE * slope
+        if cost <= bound and abs(now) <= -CURVATURE * slope and not (bracketed and over):
             return cost, CONVERGED
-        if first_stage and cost <= bound and now >= DECREASE * slope:
+        if (bracketed and over) or step in (SHORTEST, LONGEST):
+            return cost, LINE_SEARCH
+        if cost <= bound and now >= DECREASE * slope:
             first_stage = False
-        shift = wanted if first_stage and bound < cost <= best[1] else 0.0
-        trial_end = np.array([step, cost - shift * step, now - shift])
-        for end in (best, other):
-            end[1] -= shift * end[0]
-            end[2] -= shift
-        step, bracketed, usable = _next_step(best, other, trial_end, bracketed, low, high)
-        for end in (best, other):
-            end[1] += shift * end[0]
-            end[2] += shift
+        shift = DECREASE * slope if first_stage and bound < cost <= best[1] else 0.0
+        end = np.array([step, cost, now])
+        step, bracketed, usable = _next_step(best, other, end, shift, bracketed, low, high)
         if bracketed:
             if abs(other[0] - best[0]) >= 0.66 * width_before:
                 step = best[0] + 0.5 * (other[0] - best[0])
@@ -175,36 +160,32 @@ def _search(objective, free, cost, gradient, direction, step):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _next_step(best, other, trial, bracketed, low, high):
-    """Takes a trial into the interval; the next step, whether a minimum is bracketed, and usable."""
-    step, cost, slope = trial
-    if bracketed and (step <= min(best[0], other[0]) or step >= max(best[0], other[0])):
+def _range(best, other, step, bracketed):
+    """Where the next step may lie."""
+    if bracketed:
+        return min(best[0], other[0]), max(best[0], other[0])
+    return best[0], step + 4.0 * (step - best[0])
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _next_step(best, other, trial, shift, bracketed, low, high):
+    """Takes a trial into the interval; next step, whether a minimum is bracketed, and usable.
+
+    In the first stage it minimises the cost less `shift` a step, which the wanted decrease leaves.
+    """
+    step = trial[0]
+    inside = min(best[0], other[0]) < step < max(best[0], other[0])
+    if (bracketed and not inside) or (best[2] - shift) * (step - best[0]) >= 0.0 or high < low:
         return step, bracketed, False
-    if best[2] * (step - best[0]) >= 0.0 or high < low:
-        return step, bracketed, False
-    opposite = slope * math.copysign(1.0, best[2]) < 0.0
-    cautious = False
-    if cost > best[1]:  # past a minimum
-        bracketed, cautious = True, True
-        cubic = _cubic(best, trial)
-        chord = (best[1] - cost) / (step - best[0])
-        square = best[0] + 0.5 * best[2] / (chord + best[2]) * (step - best[0])
-        near = abs(cubic - best[0]) < abs(square - best[0])
-        proposed = cubic if near else cubic + 0.5 * (square - cubic)
-    elif opposite:
-        bracketed = True
-        cubic, secant = _cubic(best, trial), _secant(best, trial)
-        proposed = cubic if abs(cubic - step) > abs(secant - step) else secant
-    elif abs(slope) < abs(best[2]):
-        cautious = True
-        cubic, secant = _outward_cubic(best, trial, low, high), _secant(best, trial)
-        nearer = abs(step - cubic) < abs(step - secant)
-        proposed = cubic if nearer == bracketed else secant
-    elif bracketed:
-        proposed = _cubic(other, trial)
-    else:
-        proposed = high if step > best[0] else low
-    if cost > best[1]:
+    for end in (best, other, trial):
+        end[1] -= shift * end[0]
+        end[2] -= shift
+    opposite = trial[2] * math.copysign(1.0, best[2]) < 0.0
+    cautious = trial[1] > best[1] or (not opposite and abs(trial[2]) < abs(best[2]))
+    proposed = _proposed(best, other, trial, bracketed, low, high)
+    bracketed = bracketed or trial[1] > best[1] or opposite
+    if trial[1] > best[1]:
         other[:] = trial
     else:
         if opposite:
@@ -214,7 +195,32 @@ def _next_step(best, other, trial, bracketed, low, high):
     if bracketed and cautious:
         bound = best[0] + 0.66 * (other[0] - best[0])
         proposed = min(proposed, bound) if other[0] > best[0] else max(proposed, bound)
+    for end in (best, other):
+        end[2] += shift
+        end[1] += shift * end[0]
     return proposed, bracketed, True
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _proposed(best, other, trial, bracketed, low, high):
+    """The next step by cubics and secants, in the four cases of More and Thuente."""
+    step, cost, slope = trial[0], trial[1], trial[2]
+    if cost > best[1]:  # past a minimum
+        cubic, chord = _cubic(best, trial), (best[1] - cost) / (step - best[0])
+        square = best[0] + 0.5 * best[2] / (chord + best[2]) * (step - best[0])
+        near = abs(cubic - best[0]) < abs(square - best[0])
+        return cubic if near else cubic + 0.5 * (square - cubic)
+    if slope * math.copysign(1.0, best[2]) < 0.0:
+        cubic, secant = _cubic(best, trial), _secant(best, trial)
+        return cubic if abs(cubic - step) > abs(secant - step) else secant
+    if abs(slope) < abs(best[2]):
+        cubic, secant = _outward_cubic(best, trial, low, high), _secant(best, trial)
+        nearer = abs(step - cubic) < abs(step - secant)
+        return cubic if nearer == bracketed else secant
+    if bracketed:
+        return _cubic(other, trial)
+    return high if step > best[0] else low
 
 
 @njit(cache=True, nogil=True)

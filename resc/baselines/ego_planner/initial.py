@@ -1,11 +1,11 @@
-"""Stage 2: where a trajectory starts from before obstacles push it: points every so many seconds."""
+"""Stage 2: the trajectory before obstacles push it, through places that ignore them."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from resc.baselines.bspline import EndDerivatives, fit
-from resc.baselines.ego_planner.curve_kernels import state_at
+from resc.baselines.ego_planner.curve_kernels import fill_state
 from resc.baselines.ego_planner.reference import Quintics, quintics
 from resc.baselines.ego_planner.settings import Failure, Points, Settings, Vector
 from resc.baselines.planner import State
@@ -16,6 +16,8 @@ LARGEST_GAP = 1.5
 """Between two samples [distances of control points]."""
 FEWEST = 7
 FINER = 1.5
+MOST_TRIES = 30
+"""To sample more finely: a thousandth of a millimetre is fine enough."""
 MOST_HORIZONS = 3.0
 """Longest continuation [horizons]."""
 NEAREST_M = 0.1
@@ -40,7 +42,9 @@ class Trajectory(NamedTuple):
 
     def at(self, time_s: float) -> State:
         """What it asks for at a time; past the end, what it asks for there."""
-        return State(*state_at(self.points, self.interval_s, time_s))
+        state = np.empty((4, 3))
+        fill_state(self.points, self.interval_s, time_s, state)
+        return State(*state)
 
 
 class Target(NamedTuple):
@@ -65,13 +69,15 @@ def from_polynomial(
     """
     course = _polynomial(start, target, settings, aside)
     interval = _interval(settings)
-    while True:
+    for _ in range(MOST_TRIES):
         times = _times(course.duration_s, interval, settings)
         samples = course.at(times)
         gaps = np.linalg.norm(np.diff(samples, axis=0), axis=1)
         if len(samples) >= FEWEST and gaps.max() <= LARGEST_GAP * settings.spacing:
             break
         interval /= FINER
+    else:
+        raise Failure("Initial trajectory: no polynomial leads from the state to the target.")
     end = course.at(times[-1:], 2)[0]
     ends = EndDerivatives(start.velocity, target.velocity, start.acceleration, end)
     return _fitted(samples, float(times[1]), ends)
@@ -92,11 +98,9 @@ def _times(duration_s: float, interval_s: float, settings: Settings) -> Points:
     return np.linspace(0.0, duration_s, max(round(duration_s / interval_s), 1) + 1)
 
 
-def _polynomial(
-    start: State, target: Target, settings: Settings, aside: Vector | None
-) -> Quintics:
+def _polynomial(start: State, target: Target, settings: Settings, aside: Vector | None) -> Quintics:
     away = float(np.linalg.norm(target.position - start.position))
-    if away < NEAREST_M:
+    if not away >= NEAREST_M:  # nor if it is not a number
         raise Failure(f"Initial trajectory: the target is {away:.2f} m away, no way to go.")
     fastest, strongest = settings.velocity, settings.acceleration
     ramps = fastest**2 / strongest
@@ -110,9 +114,7 @@ def _polynomial(
     return quintics(waypoints, np.full(pieces, duration / pieces), *ends)
 
 
-def aside(
-    start_w: Vector, target_w: Vector, failures: int, random: np.random.Generator
-) -> Vector:
+def aside(start_w: Vector, target_w: Vector, failures: int, random: np.random.Generator) -> Vector:
     """A random point beside the middle of the way; the more failures there were, the farther."""
     way = start_w - target_w
     level = np.array((way[1], -way[0], 0.0))
@@ -137,6 +139,10 @@ def from_previous(
     line = np.vstack((_rest(previous, since_s, interval), _appended(previous, target, settings)))
     far = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
     spacing, samples = settings.spacing, line[:0]
+    if not far[-1] >= NEAREST_M:
+        raise Failure(
+            f"Initial trajectory: {far[-1]:.2f} m are left of the last one, no way to go."
+        )
     while len(samples) < FEWEST:
         marks = np.arange(0.0, far[-1], spacing)
         places = np.stack([np.interp(marks, far, line[:, axis]) for axis in range(3)], axis=1)

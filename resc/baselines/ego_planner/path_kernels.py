@@ -65,8 +65,25 @@ def shortest_path(first, last, step, reach, space):
         if min(begin[axis], end[axis]) < 0 or max(begin[axis], end[axis]) > 2 * size[axis]:
             return nothing
     lowest = middle - step * size
+    if not _joined(begin, end, 2 * size + 1, lowest, step, space):
+        return nothing
     parents, found = _search(begin, end, 2 * size + 1, lowest, step, space)
     return _traced(parents, begin, end, 2 * size + 1, lowest, step) if found else nothing
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _joined(begin, end, size, lowest, step, space):
+    """Whether a path may exist: one on the level of its beginning, as obstacles are columns.
+
+    That there is none is found out a dozen times as fast as on all levels.
+    """
+    if is_blocked(lowest + step * end, space):
+        return False
+    first, last, layer, corner = begin.copy(), end.copy(), size.copy(), lowest.copy()
+    corner[2] += step * begin[2]
+    first[2], last[2], layer[2] = 0, 0, 1
+    return _search(first, last, layer, corner, step, space)[1]
 
 
 @njit(cache=True, nogil=True)
@@ -74,47 +91,53 @@ def shortest_path(first, last, step, reach, space):
 def _search(begin, end, size, lowest, step, space):
     """What each node was reached from, and whether the end was."""
     nodes = size[0] * size[1] * size[2]
-    state, cost = np.zeros(nodes, np.int8), np.empty(nodes)
-    estimate, parents = np.empty(nodes), np.empty(nodes, np.int32)
+    state, parents = np.zeros(nodes, np.int8), np.empty(nodes, np.int32)
+    cost, estimate = np.empty(nodes), np.empty(nodes)
     start, goal = _number(begin, size), _number(end, size)
     cost[start], state[start] = 0.0, OPEN
     estimate[start], parents[start] = TIE_BREAKER * _octile(begin, end), start
-    heap = np.empty(nodes, np.int32)
+    heap, count = np.empty(nodes, np.int32), 1
     heap[0] = start
-    count = 1
-    here, there, place = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3)
+    work = (state, parents, cost, estimate, heap)
+    there, place = np.empty(3, np.int64), np.empty(3)
     while count > 0:
         node = _pop(heap, count, estimate)
         count -= 1
         if node == goal:
             return parents, True
         state[node] = CLOSED
-        here[0] = node // (size[1] * size[2])
-        here[1], here[2] = node // size[2] % size[1], node % size[2]
         for turn in range(27):
-            there[0], there[1] = here[0] + turn // 9 - 1, here[1] + turn // 3 % 3 - 1
-            there[2] = here[2] + turn % 3 - 1
-            if turn == 13 or not _inside(there, size):
-                continue
-            other = _number(there, size)
-            if state[other] == CLOSED:
-                continue
-            for axis in range(3):
-                place[axis] = lowest[axis] + step * there[axis]
-            if is_blocked(place, space):
-                continue
-            apart = abs(turn // 9 - 1) + abs(turn // 3 % 3 - 1) + abs(turn % 3 - 1)
-            reached = cost[node] + math.sqrt(apart)
-            if state[other] == OPEN and reached >= cost[other]:
-                continue
-            cost[other], parents[other] = reached, node
-            estimate[other] = reached + TIE_BREAKER * _octile(there, end)
-            if state[other] == UNSEEN:
-                state[other] = OPEN
-                heap[count] = other
-                count += 1
-                _raise(heap, count - 1, other, estimate)
+            there[0] = node // (size[1] * size[2]) + turn // 9 - 1
+            there[1] = node // size[2] % size[1] + turn // 3 % 3 - 1
+            there[2] = node % size[2] + turn % 3 - 1
+            if _inside(there, size) and state[_number(there, size)] != CLOSED:
+                for axis in range(3):
+                    place[axis] = lowest[axis] + step * there[axis]
+                if not is_blocked(place, space):
+                    apart = abs(turn // 9 - 1) + abs(turn // 3 % 3 - 1) + abs(turn % 3 - 1)
+                    reached = cost[node] + math.sqrt(apart)
+                    count = _reach(there, end, node, reached, work, size, count)
     return parents, False
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _reach(there, end, node, reached, work, size, count):
+    """Opens a node, or keeps the cheaper way to it; how many the heap holds then.
+
+    A node that is open stays where it is in the heap, as in the released planner.
+    """
+    state, parents, cost, estimate, heap = work
+    other = _number(there, size)
+    if state[other] == OPEN and reached >= cost[other]:
+        return count
+    cost[other], parents[other] = reached, node
+    estimate[other] = reached + TIE_BREAKER * _octile(there, end)
+    if state[other] == OPEN:
+        return count
+    state[other] = OPEN
+    _raise(heap, count, other, estimate)
+    return count + 1
 
 
 @njit(cache=True, nogil=True)
@@ -126,10 +149,8 @@ def _number(node, size):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _inside(node, size):
-    for axis in range(3):
-        if node[axis] < 0 or node[axis] >= size[axis]:
-            return False
-    return True
+    x, y, z = node[0], node[1], node[2]
+    return 0 <= x < size[0] and 0 <= y < size[1] and 0 <= z < size[2]
 
 
 @njit(cache=True, nogil=True)

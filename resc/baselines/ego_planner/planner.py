@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from resc.baselines.ego_planner.curve_kernels import first_hit
 from resc.baselines.ego_planner.initial import (
+    NEAREST_M,
     Target,
     Trajectory,
     aside,
@@ -45,9 +46,9 @@ class Phase(Enum):
 
 
 class EgoPlanner(Planner):
-    """EGO-Planner: a B-spline pushed out of obstacles by paths round them, without a distance field.
+    """EGO-Planner: B-splines pushed out of obstacles by paths round them, without distance fields.
 
-    Limits are those of each axis.
+    The released planner, whose numbers are the defaults; Zhou, X. et al., RA-L 2021. Limits are those of each axis.
 
     Args:
         velocity_mps: Limit of velocity.
@@ -70,6 +71,7 @@ class EgoPlanner(Planner):
         tolerance: Share by which limits may be exceeded before a plan is slowed.
         emergency_s: To a collision, within which it stops if it cannot replan.
         path_reach_m: Half the edge of the cube in which paths round obstacles are looked for.
+        resolution_m: Edge of a cell.
         misses_start: See `Quirks`.
         stops_short: See `Quirks`.
         loses_reference: See `Quirks`.
@@ -110,16 +112,16 @@ class EgoPlanner(Planner):
         weights = Weights(smoothness_weight, collision_weight, feasibility_weight, fit_weight)
         quirks = Quirks(misses_start, stops_short, loses_reference, checked_share)
         self.settings = Settings(
-            velocity_mps,
-            acceleration_mps2,
-            horizon_m,
-            spacing_m,
-            clearance_m,
-            resolution_m,
-            round(path_reach_m / resolution_m),
-            1.0 + tolerance,
-            weights,
-            quirks,
+            velocity=velocity_mps,
+            acceleration=acceleration_mps2,
+            horizon=horizon_m,
+            spacing=spacing_m,
+            clearance=clearance_m,
+            resolution=resolution_m,
+            reach=round(path_reach_m / max(resolution_m, 1e-3)),
+            excess=1.0 + tolerance,
+            weights=weights,
+            quirks=quirks,
         )
         self.sensing = Sensing(sensing_m, update_range_m, front)
         self.inflation_m, self.heights_m = inflation_m, (lowest_m, highest_m)
@@ -127,6 +129,55 @@ class EgoPlanner(Planner):
         self.seed = seed
         self.plans: list[Plan] = []
         self.finished = False
+        self._check()
+
+    def _check(self) -> None:
+        """Refuses numbers by which nobody could plan."""
+        settings, sensing = self.settings, self.sensing
+        least_height = 2.0 * settings.resolution
+        above_zero = {
+            "velocity_mps": settings.velocity,
+            "acceleration_mps2": settings.acceleration,
+            "horizon_m": settings.horizon,
+            "spacing_m": settings.spacing,
+            "clearance_m": settings.clearance,
+            "resolution_m": settings.resolution,
+            "path_reach_m": settings.reach,
+            "sensing_m": sensing.horizon_m,
+            "update_range_m": sensing.update_range_m,
+            "checked_share": settings.quirks.checked_share,
+        }
+        for name, value in above_zero.items():
+            if not value > 0:
+                raise ConfigError(f"{name} is {value:g}; it must be above zero.")
+        weights = (f"{name}_weight" for name in Weights._fields)
+        at_least_zero = {
+            "inflation_m": self.inflation_m,
+            "replan_m": self.replan_m,
+            "keep_m": self.keep_m,
+            "emergency_s": self.emergency_s,
+            "tolerance": settings.excess - 1.0,
+            **dict(zip(weights, settings.weights, strict=True)),
+        }
+        for name, value in at_least_zero.items():
+            if not value >= 0:
+                raise ConfigError(f"{name} is {value:g}; it must not be below zero.")
+        if not settings.quirks.checked_share <= 1.0:
+            raise ConfigError("checked_share is a share; it must not be above 1.")
+        lowest, highest = self.heights_m
+        if not highest - lowest >= least_height:
+            raise ConfigError(
+                f"highest_m is {highest:g} and lowest_m is {lowest:g}; planning in cells needs at "
+                f"least {least_height:g} m between them."
+            )
+
+    def facts(self) -> dict[str, str]:
+        """Its numbers and switches, for a report of what flew."""
+        parts = (self.settings, self.sensing, self.settings.weights, self.settings.quirks)
+        numbers = {name: value for part in parts for name, value in part._asdict().items()}
+        numbers |= {"inflation": self.inflation_m, "replan": self.replan_m, "keep": self.keep_m}
+        plain = {name: value for name, value in numbers.items() if not isinstance(value, tuple)}
+        return {name: f"{value:g}" for name, value in plain.items()}
 
     def begin(
         self,
@@ -149,6 +200,8 @@ class EgoPlanner(Planner):
         self.begun_s, self.stop = 0.0, at_rest(start_w)
         self.phase, self.failures = Phase.BEGINNING, 0
         self.plans, self.finished = [], False
+        if np.linalg.norm(goal_w - start_w) < NEAREST_M:
+            self.phase, self.finished = Phase.ARRIVED, True
 
     def tick(self, time_s: float, odometry: State) -> None:
         """Looks round and ahead every fifth time, then does what the phase asks for."""
@@ -166,7 +219,7 @@ class EgoPlanner(Planner):
             self._replan(time_s)
 
     def commanded(self, time_s: float) -> State:
-        """What the trajectory asks for; at rest before the first, after its end, and once stopped."""
+        """What the trajectory asks for; at rest before the first, after its end and once stopped."""
         if self.trajectory is None:
             return self.stop
         since = time_s - self.begun_s
@@ -224,9 +277,7 @@ class EgoPlanner(Planner):
         since = min(time_s - self.begun_s, last.duration_s)
         start = last.at(since)
         ways = (partial(from_previous, last, since), partial(from_polynomial, start))
-        return any(
-            self._plan(time_s, start, way) for way in (*ways, partial(self._random, start))
-        )
+        return any(self._plan(time_s, start, way) for way in (*ways, partial(self._random, start)))
 
     def _random(self, start: State, target: Target, settings: Settings) -> Trajectory:
         """From a polynomial past a random point."""

@@ -10,6 +10,8 @@ from resc.baselines.ego_planner.settings import Points, Settings, Vector
 
 PIECE_M = 4.0
 """Longest piece of the reference."""
+SHORTEST_M = 0.01
+"""A reference to where one is takes some time, too."""
 STEPS = 20
 """In which a horizon is walked at full speed."""
 TERMS = 6
@@ -37,7 +39,7 @@ class Quintics:
         """Of all pieces."""
         return float(self.durations.sum())
 
-    def at(self, time_s: Float64[np.ndarray, " t"], derivative: int = 0) -> Float64[np.ndarray, "t 3"]:
+    def at(self, time_s: Float64[np.ndarray, " t"], derivative: int = 0) -> Points:
         """Positions, velocities or accelerations at times; past the end the last piece goes on."""
         ends = np.cumsum(self.durations)
         piece = np.minimum(np.searchsorted(ends, time_s), len(ends) - 1)
@@ -88,7 +90,7 @@ def reference(start_w: Vector, velocity_w: Vector, goal_w: Vector, limit_mps: fl
         goal_w: Goal [m].
         limit_mps: Speed of the pieces between.
     """
-    length = float(np.linalg.norm(goal_w - start_w))
+    length = max(float(np.linalg.norm(goal_w - start_w)), SHORTEST_M)
     pieces = int(length // PIECE_M) + 1
     waypoints = start_w + np.linspace(0.0, 1.0, pieces + 1)[:, None] * (goal_w - start_w)
     durations = np.full(pieces, length / pieces / limit_mps)

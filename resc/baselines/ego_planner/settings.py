@@ -7,9 +7,7 @@ from jaxtyping import Float64, UInt8
 
 Points: TypeAlias = Float64[np.ndarray, "n 3"]
 Vector: TypeAlias = Float64[np.ndarray, " 3"]
-Space: TypeAlias = tuple[
-    UInt8[np.ndarray, "x y"], Float64[np.ndarray, " 2"], float, float, float
-]
+Space: TypeAlias = tuple[UInt8[np.ndarray, "x y"], Float64[np.ndarray, " 2"], float, float, float]
 """See `path_kernels`: what is free and what is not."""
 
 
