@@ -123,7 +123,7 @@ class Mpc(Pilot):
         going = (world[keys.CLOCK][:, 0] == self.steps).cpu().numpy()
         if self.steps % self.every == 0:
             passed = world[keys.ROUTE_INDEX][:, 0].tolist()
-            for row in going.nonzero()[0]:
+            for row in going.nonzero()[0].tolist():
                 self.flights[row].next = passed[row] + 1
                 self._plan(row, MassPoint(*(column[row] for column in states)))
         since = (self.steps % self.every) * self.dt_s

@@ -21,6 +21,7 @@ from resc.envs.stages import Stages, World
 from resc.errors import ConfigError
 from resc.flying.cascade import require_body_rates
 from resc.flying.pilot import Pilot, PlanningCall
+from resc.quantities import Positive
 
 CONTROLLER, PERFECT = "controller", "perfect"
 
@@ -33,6 +34,7 @@ class PlannerPilot(Pilot):
         tracking: `controller`, by body rates and thrust; `perfect`, the vehicle put where the
             trajectory is; or both, as two pilots.
         tracker: The controller.
+        patience_s: A planner that has found no trajectory by then is given up: the vehicle hovers.
     """
 
     finds_its_way = True
@@ -43,6 +45,7 @@ class PlannerPilot(Pilot):
         planner: object,
         tracking: Sequence[str] = (CONTROLLER,),
         tracker: Tracker | None = None,
+        patience_s: Positive = 5.0,
     ) -> None:
         if not isinstance(planner, Planner):
             raise ConfigError(f"planner is a {type(planner).__name__}, which is not a Planner.")
@@ -54,6 +57,7 @@ class PlannerPilot(Pilot):
         self.planner = planner
         self.tracking = tuple(tracking)
         self.tracker = tracker or Tracker()
+        self.patience_s = patience_s
         self.perfect = self.tracking == (PERFECT,)
         self.flights: list[PlannedFlight] = []
 
@@ -78,6 +82,7 @@ class PlannerPilot(Pilot):
             "planner": type(self.planner).__name__,
             **self.planner.facts(),
             "tracking": self.tracking[0],
+            "patience_s": f"{self.patience_s:g}",
             **({} if self.perfect else {"tracker": str(self.tracker)}),
         }
 
@@ -105,10 +110,10 @@ class PlannerPilot(Pilot):
         self.require_still(maps[keys.MOVERS_W])
         self.maps = maps
         self.cells: dict[bytes, Float[np.ndarray, "k 3"]] = {}
-        ahead_s = 0.0 if self.perfect else self.tracker.ahead_s
+        ahead_s, patience_s = 0.0 if self.perfect else self.tracker.ahead_s, self.patience_s
         self.dt_s = stages.context.dt_s
         self.flights = [
-            PlannedFlight(copy.deepcopy(self.planner), self.dt_s, self.perfect, ahead_s)
+            PlannedFlight(copy.deepcopy(self.planner), self.dt_s, self.perfect, ahead_s, patience_s)
             for _ in range(flights)
         ]
         self.cascade = None if self.perfect else self.tracker.cascade(stages)
@@ -127,7 +132,7 @@ class PlannerPilot(Pilot):
         def advance(row: int) -> None:
             self.flights[row].advance(time_s, State(*(column[row] for column in states)))
 
-        with ThreadPoolExecutor(max(1, torch.get_num_threads())) as pool:
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
             list(pool.map(advance, going))
         self.steps += 1
         asked = np.stack([flight.asked for flight in self.flights])

@@ -19,17 +19,21 @@ class PlannedFlight:
         dt_s: Control step, a multiple of the tick.
         perfect: Whether the vehicle is put where the trajectory is.
         ahead_s: How much later than position and velocity the acceleration is that is asked for.
+        patience_s: After which a planner without any trajectory is no longer asked for one.
 
     Attributes:
         asked: Position, velocity, acceleration and jerk to follow [4, 3], SI.
         energy_m2ps5: Integral of the squared jerk of the pieces flown.
     """
 
-    def __init__(self, planner: Planner, dt_s: float, perfect: bool, ahead_s: float) -> None:
+    def __init__(
+        self, planner: Planner, dt_s: float, perfect: bool, ahead_s: float, patience_s: float
+    ) -> None:
         self.planner = planner
         self.ticks = round(dt_s / TICK_S)
         self.perfect = perfect
         self.ahead_s = ahead_s
+        self.patience_s = patience_s
         self.asked = np.zeros((4, 3))
         self.energy_m2ps5 = 0.0
         self.arrived = False
@@ -52,16 +56,23 @@ class PlannedFlight:
 
     def advance(self, time_s: float, odometry: State) -> None:
         """Plans all that is due in a control step that begins at this time."""
+        hopeful = self._hopeful(time_s)
         for tick in range(self.ticks):
             since = tick * TICK_S
             now = time_s + since
-            seen = self.planner.commanded(now) if self.perfect else _after(odometry, since)
-            self.planner.tick(round(now / TICK_S) * TICK_S, seen)
+            if hopeful:
+                seen = self.planner.commanded(now) if self.perfect else _after(odometry, since)
+                self.planner.tick(round(now / TICK_S) * TICK_S, seen)
+                self._integrate(now)
             if tick == 0:
                 self._ask(time_s, odometry.position)
-            self._integrate(now)
         if self.perfect:
             self.asked = np.stack(self.planner.commanded(time_s + self.ticks * TICK_S))
+
+    def _hopeful(self, time_s: float) -> bool:
+        """Whether the planner may still find a trajectory, or another."""
+        begun = time_s < self.patience_s or any(not plan.failed for plan in self.planner.plans)
+        return begun and not self.planner.finished
 
     def _ask(self, time_s: float, position: Float[np.ndarray, "3"]) -> None:
         """Takes what to follow during this step."""
