@@ -10,7 +10,7 @@ from numba.core.registry import CPUDispatcher
 import resc
 from resc.compile_kernels import compile_kernels
 
-ROOMS = ("resc.maps", "resc.planning", "resc.scenes")
+ROOMS = ("resc.baselines", "resc.maps", "resc.planning", "resc.scenes")
 """Which have kernels."""
 SELDOM = {"_cells_to_free", "_traced", "pull"}
 """Small ones: where an end is inside an obstacle, and of an option of a search."""

@@ -10,7 +10,7 @@ from resc.errors import RecordingError
 from resc.evaluation.courses import Course
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
-from resc.evaluation.planning_calls import failing, write_calls
+from resc.evaluation.planning_calls import Calls, failing, write_calls
 from resc.evaluation.references import Reference, References, crossings, digest
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import Rules
@@ -76,6 +76,7 @@ class Result:
         told: What to say of the 3-D scenes, nothing if there are none.
         contest: What it flew.
         flown: The flights of every scene, by its name.
+        calls: Of what planned in them.
     """
 
     pilot: Pilot
@@ -87,6 +88,7 @@ class Result:
     told: str
     contest: Contest
     flown: Mapping[str, Flights]
+    calls: Calls
 
 
 def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Result:
@@ -106,8 +108,9 @@ def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Res
     table = join(tables)
     write_scenes(reports, folder / SCENES_TABLE)
     write_flights(table, folder / FLIGHTS_TABLE)
-    write_calls(flown, folder / CALLS_TABLE)
-    lost = "\n".join([failures(reports), failing(flown)]).strip()
+    calls = {name: flights.calls for name, flights in flown.items()}
+    write_calls(calls, folder / CALLS_TABLE)
+    lost = "\n".join([failures(reports), failing(calls)]).strip()
     text = f"{markdown(reports, limits)}\n{lost}".rstrip() + "\n"
     (folder / REPORT).write_text(f"# {title}\n\n{text}")
     return Result(
@@ -120,6 +123,7 @@ def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Res
         told=_write_scene_files(contest, folder),
         contest=contest,
         flown=flown,
+        calls=calls,
     )
 
 

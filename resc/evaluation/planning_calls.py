@@ -8,18 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from resc.evaluation.table import write_flights
-from resc.flying.flights import Flights
 from resc.flying.pilot import PlanningCall
 
+Calls = Mapping[str, Sequence[PlanningCall]]
+"""Of every scene."""
 
-def write_calls(flown: Mapping[str, Flights], path: Path) -> None:
-    """One row for each call; no file if nothing was planned in flight.
 
-    Args:
-        flown: The flights of every scene.
-        path: Where it goes.
-    """
-    rows = [(scene, *call) for scene, flights in flown.items() for call in flights.calls]
+def write_calls(calls: Calls, path: Path) -> None:
+    """One row for each call; no file if nothing was planned in flight."""
+    rows = [(scene, *call) for scene, own in calls.items() for call in own]
     if rows:
         names = ("scene", "flight", "time_s", "took_s", "failed")
         columns = zip(*rows, strict=True)
@@ -36,15 +33,15 @@ def milliseconds(calls: Sequence[PlanningCall]) -> tuple[float, float]:
     return float(np.median(took)), float(np.percentile(took, 99))
 
 
-def failing(flown: Mapping[str, Flights]) -> str:
+def failing(calls: Calls) -> str:
     """How many calls failed and for what reason most of them, a line for each scene."""
     lines = []
-    for scene, flights in flown.items():
-        reasons = Counter(call.failed for call in flights.calls if call.failed)
+    for scene, own in calls.items():
+        reasons = Counter(call.failed for call in own if call.failed)
         if reasons:
             (reason, number), *_ = reasons.most_common(1)
             lines.append(
-                f"{scene}: {reasons.total()} of {len(flights.calls)} planning calls failed, "
+                f"{scene}: {reasons.total()} of {len(own)} planning calls failed, "
                 f"{number} of them by {reason}"
             )
     return "\n".join(lines)

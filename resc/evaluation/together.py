@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,7 @@ def markdown_together(results: Sequence[Result], limits: Limits) -> str:
     titles = [title for _, title in COLUMNS]
     rows = [["scene", "pilot", *titles]]
     for place, report in enumerate(results[0].reports):
-        others = others_rows(report, results[0].table)
+        others = others_rows(report.name, _bound(report, results[0].table))
         own = {result.pilot.name: _cells(result, result.reports[place]) for result in results}
         for name, cells in {**own, **others}.items():
             rows.append([report.name, name, *(cells.get(title, "") for title in titles)])
@@ -94,7 +95,7 @@ def markdown_together(results: Sequence[Result], limits: Limits) -> str:
     lost = [
         f"{result.pilot.name}, {line}"
         for result in results
-        for line in [*failures(result.reports).splitlines(), *failing(result.flown).splitlines()]
+        for line in [*failures(result.reports).splitlines(), *failing(result.calls).splitlines()]
     ]
     return "\n".join([text, *lost]).rstrip() + "\n"
 
@@ -102,12 +103,7 @@ def markdown_together(results: Sequence[Result], limits: Limits) -> str:
 def _cells(result: Result, report: SceneReport) -> dict[str, str]:
     """What one pilot's row shows, by the titles."""
     shown = {title: shown_in(label, report) for label, title in COLUMNS if label}
-    calls = [
-        call
-        for scene, flights in result.flown.items()
-        for call in flights.calls
-        if report.name in (scene, "all")
-    ]
+    own = result.calls.get(report.name, list(chain(*result.calls.values())))
     axis = report.top_axis_speed_mps, report.top_axis_acceleration_mps2
     energy = "" if report.name == "all" else number(report.planned_energy_m2ps5, 0)
     return {
@@ -115,26 +111,31 @@ def _cells(result: Result, report: SceneReport) -> dict[str, str]:
         "planned energy": energy,
         "on an axis": _pair(axis, 2),
         "tracking [m]": number(report.tracking_error_m, 3),
-        "planning [ms]": _pair(milliseconds(calls), 1),
+        "planning [ms]": _pair(milliseconds(own), 1),
     }
 
 
-def others_rows(report: SceneReport, table: Mapping[str, np.ndarray]) -> dict[str, dict[str, str]]:
-    """Of a scene of the paper: the bound, what was published, what the original planners did."""
-    if report.name not in PUBLISHED:
-        return {}
+def _bound(report: SceneReport, table: Mapping[str, np.ndarray]) -> float:
+    """Median of the bounds of a scene's flights [s]."""
     bound = table["bound"][table["scene"] == report.name]
-    rows = {"time-optimal bound": {"time [s]": number(median(bound[np.isfinite(bound)]), 2)}}
+    return median(bound[np.isfinite(bound)])
+
+
+def others_rows(scene: str, bound_s: float) -> dict[str, dict[str, str]]:
+    """Of a scene of the paper: the bound, what was published, what the original planners did."""
+    if scene not in PUBLISHED:
+        return {}
+    rows = {"time-optimal bound": {"time [s]": number(bound_s, 2)}}
     for planner in PLANNERS:
-        found = PUBLISHED[report.name][planner]
+        found = PUBLISHED[scene][planner]
         time_s, energy = found or (math.nan, math.nan)
         rows[f"{planner}, published"] = {
             "success [%]": "" if found else "fails",
             "time [s]": number(time_s, 2),
             "energy": number(energy, 0),
         }
-    for (scene, planner), original in originals().items():
-        if scene == report.name:
+    for (flown, planner), original in originals().items():
+        if flown == scene:
             rows[f"{planner}, original"] = _original(original._asdict())
     return rows
 
