@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
 from resc.baselines.bspline import EndDerivatives, fit
 from resc.baselines.ego_planner.curve_kernels import fill_state
@@ -91,7 +92,7 @@ def _interval(settings: Settings) -> float:
     return SLOWER * settings.spacing / settings.velocity
 
 
-def _times(duration_s: float, interval_s: float, settings: Settings) -> Points:
+def _times(duration_s: float, interval_s: float, settings: Settings) -> Float64[np.ndarray, " t"]:
     """Of the samples: from 0, before the duration or, without the quirk, to it."""
     if settings.quirks.stops_short:
         return np.arange(int(np.ceil(duration_s / interval_s))) * interval_s

@@ -64,26 +64,28 @@ def shortest_path(first, last, step, reach, space):
         end[axis] = math.floor((last[axis] - middle[axis]) / step + 0.5) + size[axis]
         if min(begin[axis], end[axis]) < 0 or max(begin[axis], end[axis]) > 2 * size[axis]:
             return nothing
-    lowest = middle - step * size
-    if not _joined(begin, end, 2 * size + 1, lowest, step, space):
-        return nothing
-    parents, found = _search(begin, end, 2 * size + 1, lowest, step, space)
-    return _traced(parents, begin, end, 2 * size + 1, lowest, step) if found else nothing
+    return _found(begin, end, 2 * size + 1, middle - step * size, step, space)
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _joined(begin, end, size, lowest, step, space):
-    """Whether a path may exist: one on the level of its beginning, as obstacles are columns.
-
-    That there is none is found out a dozen times as fast as on all levels.
-    """
+def _found(begin, end, size, lowest, step, space):
+    """The places of the shortest path between two nodes, none if there is none."""
+    nothing = np.empty((0, 3))
     if is_blocked(lowest + step * end, space):
-        return False
+        return nothing
+    # Obstacles are columns: a path exists if one does on the level of its beginning, and if its end
+    # is there too, it is the shortest. One level is searched a dozen times as fast as all of them.
     first, last, layer, corner = begin.copy(), end.copy(), size.copy(), lowest.copy()
     corner[2] += step * begin[2]
     first[2], last[2], layer[2] = 0, 0, 1
-    return _search(first, last, layer, corner, step, space)[1]
+    parents, found = _search(first, last, layer, corner, step, space)
+    if not found:
+        return nothing
+    if begin[2] == end[2]:
+        return _traced(parents, first, last, layer, corner, step)
+    parents, found = _search(begin, end, size, lowest, step, space)
+    return _traced(parents, begin, end, size, lowest, step) if found else nothing
 
 
 @njit(cache=True, nogil=True)

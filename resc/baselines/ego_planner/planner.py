@@ -48,7 +48,7 @@ class Phase(Enum):
 class EgoPlanner(Planner):
     """EGO-Planner: B-splines pushed out of obstacles by paths round them, without distance fields.
 
-    The released planner, whose numbers are the defaults; Zhou, X. et al., RA-L 2021. Limits are those of each axis.
+    The released planner, whose numbers are the defaults. Limits are those of each axis.
 
     Args:
         velocity_mps: Limit of velocity.
@@ -171,14 +171,6 @@ class EgoPlanner(Planner):
                 f"least {least_height:g} m between them."
             )
 
-    def facts(self) -> dict[str, str]:
-        """Its numbers and switches, for a report of what flew."""
-        parts = (self.settings, self.sensing, self.settings.weights, self.settings.quirks)
-        numbers = {name: value for part in parts for name, value in part._asdict().items()}
-        numbers |= {"inflation": self.inflation_m, "replan": self.replan_m, "keep": self.keep_m}
-        plain = {name: value for name, value in numbers.items() if not isinstance(value, tuple)}
-        return {name: f"{value:g}" for name, value in plain.items()}
-
     def begin(
         self,
         obstacles: Float[np.ndarray, "k 3"],
@@ -219,7 +211,7 @@ class EgoPlanner(Planner):
             self._replan(time_s)
 
     def commanded(self, time_s: float) -> State:
-        """What the trajectory asks for; at rest before the first, after its end and once stopped."""
+        """What the trajectory asks for; at rest before the first, after its end, when stopped."""
         if self.trajectory is None:
             return self.stop
         since = time_s - self.begun_s

@@ -2,12 +2,15 @@
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float64
 
 from resc.baselines.ego_planner.settings import Points, Settings, Vector
 
+Derivatives: TypeAlias = Float64[np.ndarray, "2 3"]
+"""Velocity [m/s] and acceleration [m/s^2]."""
 PIECE_M = 4.0
 """Longest piece of the reference."""
 SHORTEST_M = 0.01
@@ -48,12 +51,15 @@ class Quintics:
 
 
 def quintics(
-    waypoints: Points, durations: Float64[np.ndarray, " pieces"], start: Points, end: Points
+    waypoints: Points,
+    durations: Float64[np.ndarray, " pieces"],
+    start: Derivatives,
+    end: Derivatives,
 ) -> Quintics:
     """The curve of least integral of squared jerk through waypoints at given times.
 
     Its first four derivatives are continuous at the waypoints between. `start` and `end` are
-    velocity and acceleration at the ends [2, 3].
+    velocity and acceleration at the ends.
     """
     pieces = len(durations)
     rows, wanted = np.zeros((TERMS * pieces, TERMS * pieces)), np.zeros((TERMS * pieces, 3))
