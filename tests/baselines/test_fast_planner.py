@@ -18,8 +18,8 @@ POST = columns([[2.8, -0.1, 0.4, 0.4]], [])
 
 def planner(**others):
     search = others.pop("search", KinodynamicSearch(horizon_m=7.5))
-    given = {"acceleration_mps2": 6.0, "inflation_m": 0.3, "search": search, **others}
-    return FastPlanner(**given)
+    given = {"acceleration_mps2": 6.0, "inflation_m": 0.3, "front": False, "search": search}
+    return FastPlanner(**(given | others))
 
 
 def enclosed():
