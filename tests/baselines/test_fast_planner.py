@@ -1,9 +1,11 @@
 """The state machine: when Fast-Planner plans, and what it does if it cannot."""
 
 import copy
+import csv
 
 import numpy as np
 import pytest
+from fast_scenes import DATA, SCENES
 
 from resc.baselines.fast_planner import FastPlanner, KinodynamicSearch, Optimisation
 from resc.baselines.perfect import fly_perfectly
@@ -11,6 +13,12 @@ from resc.baselines.planner import State, at_rest
 from resc.baselines.voxel_map import columns
 from resc.errors import ConfigError
 
+with (DATA / "measured.csv").open() as file:
+    MEASURED = {
+        row["scene"]: float(row["time_s"])
+        for row in csv.DictReader(file)
+        if row["planner"] == "Fast-Planner" and row["time_s"]
+    }
 START, GOAL = np.array([0.0, 0.0, 1.0]), np.array([6.0, 0.0, 1.0])
 NO_OBSTACLES = columns([], [])
 POST = columns([[2.8, -0.1, 0.4, 0.4]], [])
@@ -18,8 +26,8 @@ POST = columns([[2.8, -0.1, 0.4, 0.4]], [])
 
 def planner(**others):
     search = others.pop("search", KinodynamicSearch(horizon_m=7.5))
-    given = {"acceleration_mps2": 6.0, "inflation_m": 0.3, "search": search, **others}
-    return FastPlanner(**given)
+    given = {"acceleration_mps2": 6.0, "inflation_m": 0.3, "front": False, "search": search}
+    return FastPlanner(**(given | others))
 
 
 def enclosed():
@@ -153,3 +161,22 @@ def test_a_front_sensor_forgets_what_it_has_passed():
     beyond = State(np.array([4.5, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), np.zeros(3))
     one.tick(0.05, beyond)
     assert not one._voxels.cells.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "front"),
+    [("paper1_map11", True), ("paper4_map15", True), ("paper3_map13", False), ("C1_low_0", False)],
+)
+def test_flights_take_as_long_as_those_of_the_original(name, front):
+    """Medians over starts shifted by millimetres; single flights differ by a fifth."""
+    scene = SCENES[name]
+    obstacles = columns(scene["boxes"], scene["cylinders"])
+    start, goal = np.array(scene["start"], float), np.array(scene["goal"], float)
+    times = []
+    for shift in range(8):
+        moved = start + 0.001 * np.array((3 * shift % 8, 5 * shift % 8, 0))
+        flight = fly_perfectly(planner(front=front), obstacles, moved, goal).until(0.5)
+        times += [flight.duration_s] if flight else []
+    assert len(times) >= 4
+    assert np.median(times) == pytest.approx(MEASURED[name], rel=0.1)

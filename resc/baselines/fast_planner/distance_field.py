@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from resc.baselines.fast_planner.field_kernels import FREE_M, distances_at
+from resc.baselines.fast_planner.field_kernels import FREE_M
 from resc.baselines.voxel_map import VoxelMap
 from resc.maps.distance_transform import distance_transform
 
@@ -42,12 +42,12 @@ class DistanceField:
         """What the kernels look distances up in: cells, corner and cells a metre."""
         return self.cells, self._voxels.corner, self._voxels.per_m
 
-    def distances(self, points_w: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Distance [m] of each point and its slopes along x and y, linear between the centres."""
-        return distances_at(*self.field, points_w)
-
     def of_cells(self, points_w: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Distance [m] of the centres of the cells that points lie in, not in between."""
+        """Distance [m] of the centres of the cells that points lie in.
+
+        The descent looks between the centres, in `field`; the safety of a trajectory and a goal
+        are judged by the cells.
+        """
         cells = np.floor(points_w[:, :2] * self._voxels.per_m - self._voxels.corner).astype(int)
         on_map = ((cells >= 0) & (cells < self.cells.shape)).all(1)
         found = np.full(len(cells), FREE_M)

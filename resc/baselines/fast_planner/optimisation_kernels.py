@@ -10,7 +10,7 @@ from typing import NamedTuple, no_type_check
 import numpy as np
 from numba import njit
 
-from resc.baselines.fast_planner.field_kernels import FREE_M, distance_at
+from resc.baselines.fast_planner.field_kernels import distance_at
 
 
 class Numbers(NamedTuple):
@@ -51,7 +51,7 @@ def nearness(points, first, last, field, safe_m, unit_slopes, slope):
     cells, corner, per_m = field
     cost = 0.0
     for i in range(first, last):
-        found = distance_at(cells, corner, per_m, points[i, 0], points[i, 1], FREE_M)
+        found = distance_at(cells, corner, per_m, points[i, 0], points[i, 1])
         distance, along_x, along_y = found
         if distance >= safe_m:
             continue

@@ -2,7 +2,6 @@
 
 import math
 import time
-from dataclasses import asdict
 from enum import Enum, auto
 
 import numpy as np
@@ -88,7 +87,7 @@ class FastPlanner(Planner):
         resolution_m: Positive = 0.1,
         sensing_m: Positive = 5.0,
         update_range_m: Positive = 5.5,
-        front: bool = False,
+        front: bool = True,
         replan_m: NotNegative = 1.5,
         keep_m: NotNegative = 2.0,
         stops_short: bool = True,
@@ -127,16 +126,6 @@ class FastPlanner(Planner):
     def limits(self) -> Limits:
         """What all stages keep to."""
         return Limits(self.velocity_mps, self.acceleration_mps2, self.lowest_m, self.highest_m)
-
-    def facts(self) -> dict[str, str]:
-        """Its numbers and switches, and those of its stages."""
-        stages = ("search", "fitting", "optimisation", "time_adjustment")
-        numbers = {
-            f"{stage}.{name}": f"{value:g}" if isinstance(value, float) else str(value)
-            for stage in stages
-            for name, value in asdict(getattr(self, stage)).items()
-        }
-        return {**super().facts(), **numbers}
 
     def begin(
         self,

@@ -24,7 +24,7 @@ from resc.quantities import Count, NotNegative, Number, Positive, Within
 Nodes = Annotated[int, Within(1, 10_000_000)]
 RELEASED_TIE_BREAKER = 1.0001
 WHY = {
-    NO_PATH: "every way on is blocked, too fast, or leaves the heights to fly at",
+    NO_PATH: "every way on is blocked, too fast, too short, or leaves the heights to fly at",
     NEAR_END: "no free cubic leads from the start to the goal, which is near",
     OUT_OF_MEMORY: "it needs more nodes than search.most_nodes",
 }
