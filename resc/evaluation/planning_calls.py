@@ -1,6 +1,7 @@
 """What the planning of pilots took, and why it failed."""
 
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,6 +11,8 @@ import numpy as np
 from resc.evaluation.table import write_flights
 from resc.flying.pilot import PlanningCall
 
+NUMBERS = re.compile(r"-?\d+\.\d+")
+"""Differ from call to call: reasons are counted without them."""
 Calls = Mapping[str, Sequence[PlanningCall]]
 """Of every scene."""
 
@@ -37,7 +40,7 @@ def failing(calls: Calls) -> str:
     """How many calls failed and for what reason most of them, a line for each scene."""
     lines = []
     for scene, own in calls.items():
-        reasons = Counter(call.failed for call in own if call.failed)
+        reasons = Counter(NUMBERS.sub("...", call.failed) for call in own if call.failed)
         if reasons:
             (reason, number), *_ = reasons.most_common(1)
             lines.append(
