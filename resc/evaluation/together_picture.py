@@ -1,6 +1,6 @@
 """All pilots in one scene: their ways over its map, and their speeds over time."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -47,12 +47,24 @@ def draw_together(
                 map_axes.plot(*line.T, **style, zorder=3)
                 label = name if number == shown[0] else None
                 speed_axes.plot(np.arange(len(speed)) * flights.dt_s, speed, **style, label=label)
-        speed_axes.set(xlabel="time [s]", ylabel="speed [m/s]", ylim=(0, None), xlim=(0, None))
+        limits = {"ylim": (0, None), "xlim": (0, _longest_s(flown, shown))}
+        speed_axes.set(xlabel="time [s]", ylabel="speed [m/s]", **limits)
         speed_axes.grid(color=FRAME, linewidth=0.4, alpha=0.5)
         map_axes.set_title(course.name, loc="left", fontweight="bold")
         figure.legend(loc="outside lower center", ncols=6, frameon=False)
         figure.savefig(path, dpi=130)
         plt.close(figure)
+
+
+def _longest_s(flown: Mapping[str, Flights], shown: Sequence[int]) -> float | None:
+    """A little more than the slowest flight that arrives; None if none does."""
+    steps = [
+        int(flights.counted[number]) * flights.dt_s
+        for flights in flown.values()
+        for number in shown
+        if flights.success[number]
+    ]
+    return 1.1 * max(steps) if steps else None
 
 
 def _draw_map(axes: Axes, course: Course, resolution_m: float) -> None:
