@@ -6,7 +6,6 @@
 import math
 from typing import no_type_check
 
-import numpy as np
 from numba import njit
 
 
@@ -19,16 +18,6 @@ def is_occupied(cells, corner, per_m, x, y, outside):
     if i < 0 or j < 0 or i >= cells.shape[0] or j >= cells.shape[1]:
         return outside
     return cells[i, j] != 0
-
-
-@njit(cache=True, nogil=True)
-@no_type_check
-def occupied_points(cells, corner, per_m, points, outside):
-    """Whether points lie in inflated cells."""
-    found = np.empty(len(points), np.bool_)
-    for n in range(len(points)):
-        found[n] = is_occupied(cells, corner, per_m, points[n, 0], points[n, 1], outside)
-    return found
 
 
 @njit(cache=True, nogil=True)

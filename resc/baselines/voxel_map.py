@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Float64, UInt8
 
-from resc.baselines.voxel_kernels import occupied_points, see
+from resc.baselines.voxel_kernels import see
 
 SLACK = 1e-9
 """Of a cell: 0.3 m are three cells of 0.1 m, whatever rounding makes of the quotient."""
@@ -85,12 +85,6 @@ class VoxelMap:
         ahead = heading_w if sensing.front else np.zeros(2)
         ranges = (sensing.horizon_m, sensing.update_range_m)
         see(self.cells, self.corner, self.per_m, self.reach, obstacles_w, position_w, ahead, ranges)
-
-    def occupied(
-        self, points_w: Float64[np.ndarray, "n 3"], *, outside: bool
-    ) -> Bool[np.ndarray, " n"]:
-        """Whether points lie in inflated cells; `outside` is the answer beyond the map's edges."""
-        return occupied_points(self.cells, self.corner, self.per_m, points_w, outside)
 
 
 def columns(

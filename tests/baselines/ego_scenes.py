@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from resc.baselines.ego_planner.initial import Target, from_polynomial
+from resc.baselines.ego_planner.numbers import Numbers, Quirks, Weights
 from resc.baselines.ego_planner.reference import LocalTarget, reference
-from resc.baselines.ego_planner.settings import Quirks, Settings, Weights
 from resc.baselines.planner import State
 from resc.baselines.voxel_map import Sensing, VoxelMap, columns
 
@@ -19,7 +19,7 @@ SCENES = {
 SPARSE, AUTHOR = "ego_B1_sparse", "ego_A1_author11"
 PLACES = {SPARSE: ("B1_sparse", (12.0, 0.0, 1.0)), AUTHOR: ("paper1_map11", (9.0, 8.75, 1.0))}
 """Scene and goal; that of map 11 is not the scene's."""
-PAPER = Settings(3.0, 6.0, 7.5, 0.4, 0.5, 0.1, 50, 1.05, Weights(), Quirks())
+PAPER = Numbers(3.0, 6.0, 7.5, 0.4, 0.5, 0.1, 50, 1.05, Weights(), Quirks())
 STILL = np.zeros(3)
 
 
@@ -41,14 +41,14 @@ def space(name):
     return voxels.cells, voxels.corner, voxels.per_m, 0.7, 1.3
 
 
-def local_target(name, settings=PAPER):
+def local_target(name, numbers=PAPER):
     start, goal = ends(name)
-    course = LocalTarget(reference(start, STILL, goal, settings.velocity), goal)
-    return Target(*course.advance(start, settings))
+    course = LocalTarget(reference(start, STILL, goal, numbers.velocity), goal)
+    return Target(*course.advance(start, numbers))
 
 
-def initial(name, settings=PAPER, slip_mps=STILL):
+def initial(name, numbers=PAPER, slip_mps=STILL):
     """The trajectory before obstacles push it; `slip_mps` is added to its first velocity."""
     velocity = np.array((1.0, 0.0, 0.0)) + slip_mps
     start = State(ends(name)[0], velocity, np.array((0.5, 0.0, 0.0)))
-    return from_polynomial(start, local_target(name, settings), settings)
+    return from_polynomial(start, local_target(name, numbers), numbers)

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from resc.baselines.bspline import uniform
 from resc.baselines.ego_planner.cost_kernels import collision, feasibility, fit, smoothness
 from resc.baselines.ego_planner.initial import Target, Trajectory, aside, from_previous
+from resc.baselines.ego_planner.numbers import Failure, Quirks
 from resc.baselines.ego_planner.pair_kernels import colliding_spans
 from resc.baselines.ego_planner.path_kernels import shortest_path
 from resc.baselines.ego_planner.rebound import (
@@ -19,7 +20,6 @@ from resc.baselines.ego_planner.rebound import (
 )
 from resc.baselines.ego_planner.reference import LocalTarget, reference
 from resc.baselines.ego_planner.refinement import exceeded, refined
-from resc.baselines.ego_planner.settings import Failure, Quirks
 
 BOTH = pytest.mark.parametrize("name", [SPARSE, AUTHOR])
 PRINTED_M = 1e-6
@@ -179,10 +179,10 @@ def test_a_polynomial_stops_short_of_its_target_unless_told_otherwise():
 def test_a_vehicle_far_from_the_reference_loses_it_unless_told_otherwise():
     start, goal = np.array((0.0, 0.0, 1.0)), np.array((30.0, 0.0, 1.0))
     far = np.array((20.0, 1.0, 1.0))
-    for settings, place in ((PAPER, 7.5), (without(loses_reference=False), 27.5)):
+    for numbers, place in ((PAPER, 7.5), (without(loses_reference=False), 27.5)):
         target = LocalTarget(reference(start, STILL, goal, 3.0), goal)
-        target.advance(start, settings)
-        assert target.advance(far, settings)[0][0] == pytest.approx(place, abs=0.4)
+        target.advance(start, numbers)
+        assert target.advance(far, numbers)[0][0] == pytest.approx(place, abs=0.4)
 
 
 def test_the_last_third_is_looked_at_only_if_told():

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from resc.baselines.voxel_kernels import is_occupied
 from resc.baselines.voxel_map import Sensing, VoxelMap, columns
 
 DATA = Path(__file__).parents[1] / "data" / "planner_scenes"
@@ -26,7 +27,7 @@ def seen(*obstacles, position=START, sensing=ALL_ROUND, inflation_m=0.3):
 
 
 def at(voxels, x, y, outside=False):
-    return bool(voxels.occupied(np.array([[x, y, 1.0]]), outside=outside)[0])
+    return bool(is_occupied(voxels.cells, voxels.corner, voxels.per_m, x, y, outside))
 
 
 def test_a_box_covers_the_cells_with_their_centres_in_it():

@@ -7,8 +7,8 @@ from jaxtyping import Float64
 
 from resc.baselines.bspline import EndDerivatives, fit
 from resc.baselines.ego_planner.curve_kernels import fill_state
+from resc.baselines.ego_planner.numbers import Failure, Numbers, Points, Vector
 from resc.baselines.ego_planner.reference import Quintics, quintics
-from resc.baselines.ego_planner.settings import Failure, Points, Settings, Vector
 from resc.baselines.planner import State
 
 SLOWER = 1.2
@@ -61,20 +61,20 @@ class Target(NamedTuple):
 
 
 def from_polynomial(
-    start: State, target: Target, settings: Settings, aside: Vector | None = None
+    start: State, target: Target, numbers: Numbers, aside: Vector | None = None
 ) -> Trajectory:
     """Through a polynomial from the state to the target, which may lead past a point aside.
 
     Raises:
         Failure: The target is where the vehicle is already.
     """
-    course = _polynomial(start, target, settings, aside)
-    interval = _interval(settings)
+    course = _polynomial(start, target, numbers, aside)
+    interval = _interval(numbers)
     for _ in range(MOST_TRIES):
-        times = _times(course.duration_s, interval, settings)
+        times = _times(course.duration_s, interval, numbers)
         samples = course.at(times)
         gaps = np.linalg.norm(np.diff(samples, axis=0), axis=1)
-        if len(samples) >= FEWEST and gaps.max() <= LARGEST_GAP * settings.spacing:
+        if len(samples) >= FEWEST and gaps.max() <= LARGEST_GAP * numbers.spacing:
             break
         interval /= FINER
     else:
@@ -88,22 +88,22 @@ def _fitted(samples: Points, interval_s: float, ends: EndDerivatives) -> Traject
     return Trajectory(np.ascontiguousarray(fit(samples, interval_s, ends)), interval_s)
 
 
-def _interval(settings: Settings) -> float:
-    return SLOWER * settings.spacing / settings.velocity
+def _interval(numbers: Numbers) -> float:
+    return SLOWER * numbers.spacing / numbers.velocity
 
 
-def _times(duration_s: float, interval_s: float, settings: Settings) -> Float64[np.ndarray, " t"]:
+def _times(duration_s: float, interval_s: float, numbers: Numbers) -> Float64[np.ndarray, " t"]:
     """Of the samples: from 0, before the duration or, without the quirk, to it."""
-    if settings.quirks.stops_short:
+    if numbers.quirks.stops_short:
         return np.arange(int(np.ceil(duration_s / interval_s))) * interval_s
     return np.linspace(0.0, duration_s, max(round(duration_s / interval_s), 1) + 1)
 
 
-def _polynomial(start: State, target: Target, settings: Settings, aside: Vector | None) -> Quintics:
+def _polynomial(start: State, target: Target, numbers: Numbers, aside: Vector | None) -> Quintics:
     away = float(np.linalg.norm(target.position - start.position))
     if not away >= NEAREST_M:  # nor if it is not a number
         raise Failure(f"Initial trajectory: the target is {away:.2f} m away, no way to go.")
-    fastest, strongest = settings.velocity, settings.acceleration
+    fastest, strongest = numbers.velocity, numbers.acceleration
     ramps = fastest**2 / strongest
     duration = (away - ramps) / fastest + 2.0 * fastest / strongest
     if away < ramps:
@@ -129,17 +129,17 @@ def aside(start_w: Vector, target_w: Vector, failures: int, random: np.random.Ge
 
 
 def from_previous(
-    previous: Trajectory, since_s: float, target: Target, settings: Settings
+    previous: Trajectory, since_s: float, target: Target, numbers: Numbers
 ) -> Trajectory:
     """Through the rest of the last trajectory, and from its end to the target.
 
     Raises:
         Failure: That is a far longer way than a plan may be.
     """
-    interval, now = _interval(settings), previous.at(since_s)
-    line = np.vstack((_rest(previous, since_s, interval), _appended(previous, target, settings)))
+    interval, now = _interval(numbers), previous.at(since_s)
+    line = np.vstack((_rest(previous, since_s, interval), _appended(previous, target, numbers)))
     far = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
-    spacing, samples = settings.spacing, line[:0]
+    spacing, samples = numbers.spacing, line[:0]
     if not far[-1] >= NEAREST_M:
         raise Failure(
             f"Initial trajectory: {far[-1]:.2f} m are left of the last one, no way to go."
@@ -149,14 +149,14 @@ def from_previous(
         places = np.stack([np.interp(marks, far, line[:, axis]) for axis in range(3)], axis=1)
         samples = np.vstack((places, target.position))
         spacing /= FINER
-    if len(samples) > MOST_HORIZONS * settings.horizon / settings.spacing:
+    if len(samples) > MOST_HORIZONS * numbers.horizon / numbers.spacing:
         raise Failure(
             f"Initial trajectory: the last one and its way to the target are {far[-1]:.1f} m long."
         )
     still = np.zeros(3)
     ends = EndDerivatives(now.velocity, target.velocity, now.acceleration, still)
     fitted = _fitted(samples, interval, ends)
-    return fitted if settings.quirks.misses_start else _moved_to(fitted, now)
+    return fitted if numbers.quirks.misses_start else _moved_to(fitted, now)
 
 
 def _rest(previous: Trajectory, since_s: float, interval_s: float) -> Points:
@@ -164,10 +164,10 @@ def _rest(previous: Trajectory, since_s: float, interval_s: float) -> Points:
     return np.array([previous.at(time).position for time in (since_s, *times[1:])])
 
 
-def _appended(previous: Trajectory, target: Target, settings: Settings) -> Points:
+def _appended(previous: Trajectory, target: Target, numbers: Numbers) -> Points:
     """A quintic from the end of the last trajectory to the target, without its first place."""
-    end, interval = previous.at(previous.duration_s), _interval(settings)
-    duration = 2.0 * float(np.linalg.norm(target.position - end.position)) / settings.velocity
+    end, interval = previous.at(previous.duration_s), _interval(numbers)
+    duration = 2.0 * float(np.linalg.norm(target.position - end.position)) / numbers.velocity
     if duration <= interval:
         return np.empty((0, 3))
     ends = np.array(((end.velocity, end.acceleration), (target.velocity, np.zeros(3))))

@@ -17,10 +17,10 @@ from resc.baselines.ego_planner.initial import (
     from_polynomial,
     from_previous,
 )
+from resc.baselines.ego_planner.numbers import Failure, Numbers, Quirks, Space, Weights
 from resc.baselines.ego_planner.rebound import rebounded
 from resc.baselines.ego_planner.reference import LocalTarget, reference
 from resc.baselines.ego_planner.refinement import refined
-from resc.baselines.ego_planner.settings import Failure, Quirks, Settings, Space, Weights
 from resc.baselines.planner import TICK_S, Plan, Planner, State, at_rest
 from resc.baselines.voxel_map import Sensing, VoxelMap
 from resc.errors import ConfigError
@@ -111,7 +111,7 @@ class EgoPlanner(Planner):
     ) -> None:
         weights = Weights(smoothness_weight, collision_weight, feasibility_weight, fit_weight)
         quirks = Quirks(misses_start, stops_short, loses_reference, checked_share)
-        self.settings = Settings(
+        self.numbers = Numbers(
             velocity=velocity_mps,
             acceleration=acceleration_mps2,
             horizon=horizon_m,
@@ -133,19 +133,19 @@ class EgoPlanner(Planner):
 
     def _check(self) -> None:
         """Refuses numbers by which nobody could plan."""
-        settings, sensing = self.settings, self.sensing
-        least_height = 2.0 * settings.resolution
+        numbers, sensing = self.numbers, self.sensing
+        least_height = 2.0 * numbers.resolution
         above_zero = {
-            "velocity_mps": settings.velocity,
-            "acceleration_mps2": settings.acceleration,
-            "horizon_m": settings.horizon,
-            "spacing_m": settings.spacing,
-            "clearance_m": settings.clearance,
-            "resolution_m": settings.resolution,
-            "path_reach_m": settings.reach,
+            "velocity_mps": numbers.velocity,
+            "acceleration_mps2": numbers.acceleration,
+            "horizon_m": numbers.horizon,
+            "spacing_m": numbers.spacing,
+            "clearance_m": numbers.clearance,
+            "resolution_m": numbers.resolution,
+            "path_reach_m": numbers.reach,
             "sensing_m": sensing.horizon_m,
             "update_range_m": sensing.update_range_m,
-            "checked_share": settings.quirks.checked_share,
+            "checked_share": numbers.quirks.checked_share,
         }
         for name, value in above_zero.items():
             if not value > 0:
@@ -156,13 +156,13 @@ class EgoPlanner(Planner):
             "replan_m": self.replan_m,
             "keep_m": self.keep_m,
             "emergency_s": self.emergency_s,
-            "tolerance": settings.excess - 1.0,
-            **dict(zip(weights, settings.weights, strict=True)),
+            "tolerance": numbers.excess - 1.0,
+            **dict(zip(weights, numbers.weights, strict=True)),
         }
         for name, value in at_least_zero.items():
             if not value >= 0:
                 raise ConfigError(f"{name} is {value:g}; it must not be below zero.")
-        if not settings.quirks.checked_share <= 1.0:
+        if not numbers.quirks.checked_share <= 1.0:
             raise ConfigError("checked_share is a share; it must not be above 1.")
         lowest, highest = self.heights_m
         if not highest - lowest >= least_height:
@@ -180,11 +180,11 @@ class EgoPlanner(Planner):
         """Takes up a flight: an empty map, and a reference straight to the goal."""
         places = np.vstack((obstacles, start_w, goal_w))[:, :2]
         low, high = places.min(axis=0) - MARGIN_M, places.max(axis=0) + MARGIN_M
-        edge = self.settings.resolution
+        edge = self.numbers.resolution
         self.voxels = VoxelMap(low, high, inflation_m=self.inflation_m, resolution_m=edge)
         self.obstacles = obstacles
         self.goal_w = goal_w
-        course = reference(start_w, np.zeros(3), goal_w, self.settings.velocity)
+        course = reference(start_w, np.zeros(3), goal_w, self.numbers.velocity)
         self.target = LocalTarget(course, goal_w)
         self.random = np.random.default_rng(self.seed)
         self.heading_w = goal_w[:2] - start_w[:2]
@@ -234,7 +234,7 @@ class EgoPlanner(Planner):
         if self.trajectory is None or self.phase is Phase.ARRIVED:
             return
         since, until = time_s - self.begun_s, self.trajectory.duration_s
-        checked = until * self.settings.quirks.checked_share
+        checked = until * self.numbers.quirks.checked_share
         ahead = (since, checked if since < checked else until, SAFETY_STEP_S)
         hit_s = first_hit(*self.trajectory, *ahead, self.space)
         if hit_s < 0.0 or self._replan(time_s):
@@ -271,20 +271,20 @@ class EgoPlanner(Planner):
         ways = (partial(from_previous, last, since), partial(from_polynomial, start))
         return any(self._plan(time_s, start, way) for way in (*ways, partial(self._random, start)))
 
-    def _random(self, start: State, target: Target, settings: Settings) -> Trajectory:
+    def _random(self, start: State, target: Target, numbers: Numbers) -> Trajectory:
         """From a polynomial past a random point."""
         point = aside(start.position, target.position, self.failures, self.random)
-        return from_polynomial(start, target, settings, point)
+        return from_polynomial(start, target, numbers, point)
 
     def _plan(
-        self, time_s: float, start: State, make: Callable[[Target, Settings], Trajectory]
+        self, time_s: float, start: State, make: Callable[[Target, Numbers], Trajectory]
     ) -> bool:
         """One call of the planner; its trajectory is flown from now on if there is one."""
         clock, failed = time.perf_counter(), ""
         try:
-            target = Target(*self.target.advance(start.position, self.settings))
-            trajectory = rebounded(make(target, self.settings), self.settings, self.space)
-            self.trajectory = refined(trajectory, self.settings, self.space)
+            target = Target(*self.target.advance(start.position, self.numbers))
+            trajectory = rebounded(make(target, self.numbers), self.numbers, self.space)
+            self.trajectory = refined(trajectory, self.numbers, self.space)
             self.begun_s, self.phase, self.failures = time_s, Phase.FLYING, 0
         except Failure as failure:
             failed = str(failure)

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float64
 
-from resc.baselines.ego_planner.settings import Points, Settings, Vector
+from resc.baselines.ego_planner.numbers import Numbers, Points, Vector
 
 Derivatives: TypeAlias = Float64[np.ndarray, "2 3"]
 """Velocity [m/s] and acceleration [m/s^2]."""
@@ -120,21 +120,21 @@ class LocalTarget:
     progress_s: float = 0.0
     ends: tuple[Vector, Vector] | None = None
 
-    def advance(self, here_w: Vector, settings: Settings) -> tuple[Vector, Vector]:
+    def advance(self, here_w: Vector, numbers: Numbers) -> tuple[Vector, Vector]:
         """Position and velocity of the target of a plan that starts here."""
-        step_s = settings.horizon / STEPS / settings.velocity
+        step_s = numbers.horizon / STEPS / numbers.velocity
         times, places, away = self._walk(here_w, step_s, self.progress_s)
-        lost = len(times) == 0 or away[0] > settings.horizon
-        if lost and not settings.quirks.loses_reference:
+        lost = len(times) == 0 or away[0] > numbers.horizon
+        if lost and not numbers.quirks.loses_reference:
             times, places, away = self._walk(here_w, step_s, 0.0)
             times, places, away = (part[away.argmin() :] for part in (times, places, away))
         elif lost and self.ends is not None:
             return self.ends
-        beyond = np.flatnonzero(away >= settings.horizon)
+        beyond = np.flatnonzero(away >= numbers.horizon)
         last = int(beyond[0]) if len(beyond) else len(times) - 1
         self.progress_s = float(times[away[: last + 1].argmin()])
         target = places[last] if len(beyond) else self.goal_w
-        braking = settings.velocity**2 / (2.0 * settings.acceleration)
+        braking = numbers.velocity**2 / (2.0 * numbers.acceleration)
         close = float(np.linalg.norm(self.goal_w - target)) < braking
         self.ends = target, np.zeros(3) if close else self.course.at(times[last : last + 1], 1)[0]
         return self.ends

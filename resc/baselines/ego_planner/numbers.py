@@ -47,7 +47,7 @@ class Quirks(NamedTuple):
     checked_share: float = 2.0 / 3.0
 
 
-class Settings(NamedTuple):
+class Numbers(NamedTuple):
     """What `EgoPlanner` describes, in SI units."""
 
     velocity: float
