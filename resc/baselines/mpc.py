@@ -4,14 +4,14 @@ import time
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from resc import keys
 from resc.baselines.mpc_flight import MpcFlight, Obstacles
 from resc.baselines.mpc_programme import MassPoint, Programme, Weights
-from resc.baselines.scene_cells import standing
+from resc.baselines.scene_cells import array, standing
 from resc.baselines.tracker import Reference, Tracker
 from resc.envs.stages import Stages, World
 from resc.errors import ConfigError
@@ -115,23 +115,22 @@ class Mpc(Pilot):
 
     def act(self, world: TensorDictBase, observation: Float[Tensor, "n d"]) -> Float[Tensor, "n 4"]:
         """Plans where a step of the horizon is over, and follows the plan."""
-        position, velocity = world[keys.POSITION_W], world[keys.VELOCITY_W]
-        columns = (position, velocity, world[keys.ACCELERATION_W])
-        states = [column[:, :2].double().cpu().numpy() for column in columns]
+        moving = (keys.POSITION_W, keys.VELOCITY_W, keys.ACCELERATION_W)
+        states = [array(world, key)[:, :2] for key in moving]
         if self.steps == 0:
             self.flights = self._take_off(world)
-        going = (world[keys.CLOCK][:, 0] == self.steps).cpu().numpy()
+        going = array(world, keys.CLOCK)[:, 0] == self.steps
         if self.steps % self.every == 0:
-            passed = world[keys.ROUTE_INDEX][:, 0].tolist()
-            for row in going.nonzero()[0].tolist():
-                self.flights[row].next = passed[row] + 1
+            passed = array(world, keys.ROUTE_INDEX)[:, 0].astype(int)
+            for row in np.flatnonzero(going).tolist():
+                self.flights[row].next = int(passed[row]) + 1
                 self._plan(row, MassPoint(*(column[row] for column in states)))
         since = (self.steps % self.every) * self.dt_s
         asked = [self._asked(flight, since) for flight in self.flights]
         reference = np.stack(asked).astype(np.float32)  # [n, 4, 2]
         self._measure(world, states[0], reference, going)
         self.steps += 1
-        return self._follow(world, torch.from_numpy(reference).to(position.device))
+        return self._follow(world, torch.from_numpy(reference).to(world[keys.POSITION_W].device))
 
     def measured(self) -> dict[str, Float[Tensor, " n"]]:
         """Of every flight: the energy of what was planned, and how far off it was (RMS)."""
@@ -148,8 +147,8 @@ class Mpc(Pilot):
     def _take_off(self, world: TensorDictBase) -> list[MpcFlight]:
         start = world[keys.POSITION_W][:, None, :2]
         paths = torch.cat((start, world[keys.ROUTE_W][:, :, :2]), 1).double().cpu().numpy()
-        lengths = world[keys.ROUTE_LENGTH][:, 0].tolist()
-        entries = world[keys.SCENE_INDEX][:, 0].tolist()
+        lengths = array(world, keys.ROUTE_LENGTH)[:, 0].astype(int).tolist()
+        entries = array(world, keys.SCENE_INDEX)[:, 0].astype(int).tolist()
         return [
             MpcFlight(
                 self.programme,
@@ -182,9 +181,9 @@ class Mpc(Pilot):
         world: TensorDictBase,
         position: Float[np.ndarray, "n 2"],
         asked: Float[np.ndarray, "n 4 2"],
-        going: np.ndarray,
+        going: Bool[np.ndarray, " n"],
     ) -> None:
-        goal = world[keys.ROUTE_W][:, -1, :2].double().cpu().numpy()
+        goal = array(world, keys.ROUTE_W)[:, -3:-1]
         counts = going & (np.linalg.norm(position - goal, axis=1) > ARRIVED_M)
         self.energy += counts * np.square(asked[:, 3]).sum(1) * self.dt_s
         self.errors[:, 0] += counts * np.square(asked[:, 0] - position).sum(1)

@@ -203,9 +203,9 @@ class DenseSolver:
         self.given = {}
         for place, name in enumerate(solver.name_in()):
             self.given[name] = np.full(solver.nnz_in(place), float(solver.default_in(place)))
-            self.buffer.set_arg(place, memoryview(self.given[name]))
+            self.buffer.set_arg(place, self.given[name].data)  # pyright: ignore[reportCallIssue]
         self.found = np.zeros(unknowns)
-        self.buffer.set_res(0, memoryview(self.found))
+        self.buffer.set_res(0, self.found.data)  # pyright: ignore[reportCallIssue]
 
     def solve(self, **given: Float[np.ndarray, "..."]) -> Float[np.ndarray, " u"] | None:
         """The unknowns; None if the solver fails."""

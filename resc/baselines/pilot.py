@@ -15,7 +15,7 @@ from resc import keys
 from resc.baselines.perfect_tracking import PARTS, placing
 from resc.baselines.planned_flight import PlannedFlight
 from resc.baselines.planner import TICK_S, Planner, State
-from resc.baselines.scene_cells import obstacle_cells
+from resc.baselines.scene_cells import array, obstacle_cells
 from resc.baselines.tracker import Reference, Tracker
 from resc.envs.stages import Stages, World
 from resc.errors import ConfigError
@@ -68,8 +68,8 @@ class PlannerPilot(Pilot):
     def _by(self, tracking: str) -> "PlannerPilot":
         variant = copy.copy(self)
         variant.tracking, variant.perfect = (tracking,), tracking == PERFECT
-        several = len(self.tracking) > 1
-        return variant.named(f"{self.name}_{tracking}" if several else self.name)
+        variant.name = f"{self.name}_{tracking}" if len(self.tracking) > 1 else self.name
+        return variant
 
     @property
     def parts(self) -> Mapping[str, Any]:
@@ -124,9 +124,9 @@ class PlannerPilot(Pilot):
         position, velocity = world[keys.POSITION_W], world[keys.VELOCITY_W]
         if self.steps == 0:
             self._take_off(world)
-        going = (world[keys.CLOCK][:, 0] == self.steps).nonzero()[:, 0].tolist()
-        columns = (position, velocity, world[keys.ACCELERATION_W])
-        states = [column.double().cpu().numpy() for column in columns]
+        going = np.flatnonzero(array(world, keys.CLOCK)[:, 0] == self.steps).tolist()
+        moving = (keys.POSITION_W, keys.VELOCITY_W, keys.ACCELERATION_W)
+        states = [array(world, key) for key in moving]
         time_s = self.steps * self.dt_s
 
         def advance(row: int) -> None:
@@ -159,9 +159,8 @@ class PlannerPilot(Pilot):
         ]
 
     def _take_off(self, world: TensorDictBase) -> None:
-        start = world[keys.POSITION_W].double().cpu().numpy()
-        goal = world[keys.ROUTE_W][:, -1].double().cpu().numpy()
-        entries = world[keys.SCENE_INDEX][:, 0].tolist()
+        start, goal = array(world, keys.POSITION_W), array(world, keys.ROUTE_W)[:, -3:]
+        entries = array(world, keys.SCENE_INDEX)[:, 0].astype(int).tolist()
         for row, flight in enumerate(self.flights):
             cells = obstacle_cells(self.maps, entries[row], self.cells)
             flight.begin(cells, start[row], goal[row])

@@ -1,12 +1,21 @@
-"""The obstacles of a scene of the pool, and the cells of them that planners see."""
+"""The world as planners see it: arrays, the obstacles of a scene, and the cells of them."""
+
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
+from tensordict import TensorDictBase
+from torch import Tensor
 
 from resc import keys
 from resc.baselines.voxel_map import columns
 from resc.envs.stages import World
 from resc.scenes.layout import PARKED_M
+
+
+def array(world: TensorDictBase, key: keys.NestedKey) -> Float[np.ndarray, "n d"]:
+    """An entry of the world [n, d], flattened beyond the first axis, in double precision."""
+    return cast(Tensor, world[key]).flatten(1).double().cpu().numpy()
 
 
 def standing(maps: World, entry: int) -> tuple[Float[np.ndarray, "k 4"], Float[np.ndarray, "m 3"]]:
