@@ -34,7 +34,7 @@ class PlannerPilot(Pilot):
         tracking: `controller`, by body rates and thrust; `perfect`, the vehicle put where the
             trajectory is; or both, as two pilots.
         tracker: The controller.
-        patience_s: A planner that has found no trajectory by then is given up: the vehicle hovers.
+        patience_s: A planner that fails for so long while the vehicle hovers is given up.
     """
 
     finds_its_way = True

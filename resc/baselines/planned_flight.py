@@ -19,7 +19,7 @@ class PlannedFlight:
         dt_s: Control step, a multiple of the tick.
         perfect: Whether the vehicle is put where the trajectory is.
         ahead_s: How much later than position and velocity the acceleration is that is asked for.
-        patience_s: After which a planner without any trajectory is no longer asked for one.
+        patience_s: After which a planner is given up that only fails while the vehicle hovers.
 
     Attributes:
         asked: Position, velocity, acceleration and jerk to follow [4, 3], SI.
@@ -37,6 +37,8 @@ class PlannedFlight:
         self.asked = np.zeros((4, 3))
         self.energy_m2ps5 = 0.0
         self.arrived = False
+        self.known = 0
+        self.failing_since: float | None = None
         self.squared_errors: list[float] = []
 
     @property
@@ -71,8 +73,14 @@ class PlannedFlight:
 
     def _hopeful(self, time_s: float) -> bool:
         """Whether the planner may still find a trajectory, or another."""
-        begun = time_s < self.patience_s or any(not plan.failed for plan in self.planner.plans)
-        return begun and not self.planner.finished
+        plans = self.planner.plans
+        for plan in plans[self.known :]:
+            since = plan.time_s if self.failing_since is None else self.failing_since
+            self.failing_since = since if plan.failed else None
+        self.known = len(plans)
+        stands = not self.asked[1].any()
+        stuck = self.failing_since is not None and time_s - self.failing_since > self.patience_s
+        return not (self.planner.finished or (stuck and stands))
 
     def _ask(self, time_s: float, position: Float[np.ndarray, "3"]) -> None:
         """Takes what to follow during this step."""

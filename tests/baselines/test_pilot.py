@@ -8,6 +8,8 @@ import torch
 from straight import Straight
 
 from resc.baselines.pilot import PlannerPilot
+from resc.baselines.planned_flight import PlannedFlight
+from resc.baselines.planner import Plan, at_rest
 from resc.errors import ConfigError
 from resc.evaluation.setting import Rules
 from resc.flying.flights import fly
@@ -95,3 +97,19 @@ def test_movers_are_refused():
     pilot = PlannerPilot(planner=Straight())
     with pytest.raises(ConfigError, match="knows no obstacles that move"):
         pilot.require_still(movers)
+
+
+class Never(Straight):
+    """Finds nothing, or nothing more."""
+
+    def tick(self, time_s, odometry):
+        self.plans.append(Plan(time_s, 0.0, "" if time_s < self.duration_s else "search: no."))
+
+
+@pytest.mark.parametrize(("found_until", "calls"), [(0.0, 202), (0.5, 252)])
+def test_a_planner_that_only_fails_is_given_up_once_the_vehicle_hovers(found_until, calls):
+    flight = PlannedFlight(Never(found_until), 0.02, True, 0.0, patience_s=2.0)
+    flight.begin(np.zeros((0, 3)), np.zeros(3), np.ones(3))
+    for step in range(200):
+        flight.advance(0.02 * step, at_rest(np.zeros(3)))
+    assert len(flight.planner.plans) == calls
