@@ -1,7 +1,7 @@
 """Transitions as a dataset of LeRobot, version 3: Parquet files, and JSON that describes them."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,7 +78,7 @@ def write_lerobot(
     lengths = episodes.episodes["length"].to_numpy().astype(np.int64)
     features = _recorded(episodes, steps, seen) | _numbered(lengths, fps)
     ends = np.cumsum(lengths)
-    spans = [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
+    spans = [slice(int(end - n), int(end)) for end, n in zip(ends, lengths, strict=True)]
     files = _files(features, lengths)
     for number in range(files[-1] + 1):
         own = [span for span, file in zip(spans, files, strict=True) if file == number]
@@ -141,11 +141,11 @@ def _numbered(lengths: Shaped[np.ndarray, " e"], fps: int) -> dict[str, Feature]
     return {name: Feature(values[:, None]) for name, values in columns.items()}
 
 
-def _files(features: Mapping[str, Feature], lengths: Iterable[int]) -> list[int]:
+def _files(features: Mapping[str, Feature], lengths: Shaped[np.ndarray, " e"]) -> list[int]:
     """The number of the file of each episode; no episode is in two."""
     row = sum(feature.values[:1].nbytes for feature in features.values())
     files, size = [0], 0
-    for length in lengths:
+    for length in lengths.tolist():
         more = size > 0 and size + length * row > FILE_MB * 2**20
         files.append(files[-1] + int(more))
         size = length * row + (0 if more else size)

@@ -43,7 +43,8 @@ def write_minari(
     """
     actions = Box(-1.0, 1.0, (len(ACTION.components),), np.float32)
     observations = Box(-np.inf, np.inf, (len(seen),), np.float32)
-    storage = MinariStorage.new(folder / "data", observations, actions, data_format="hdf5")
+    place = folder.absolute() / "data"  # Minari joins a relative path to itself
+    storage = MinariStorage.new(place, observations, actions, data_format="hdf5")
     facts = ", ".join(f"{key} {value}" for key, value in episodes.metadata.items() if value)
     description = (
         f"Recorded flights of a quadrotor. Observation: {', '.join(seen)}. "
