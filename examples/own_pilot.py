@@ -19,8 +19,8 @@ from resc.flying.pursuit import Pursuit
 class PotentialField(Pilot):
     """Plans a point ahead in every step, and leaves flying there to a controller.
 
-    The point is `ahead_m` away in the direction (p_next - p) / |p_next - p| + k sum (p - b) / d^3,
-    where b is the nearest point of each box within `seen_m`, at the distance d.
+    It is p + ahead_m ((p_next - p) / |p_next - p| + k sum (p - b) / d^3), where b is the nearest
+    point of each box within `seen_m`, at the distance d.
     """
 
     def __init__(self, ahead_m: float = 1.0, seen_m: float = 2.0, k_m2: float = 0.3) -> None:
@@ -36,21 +36,22 @@ class PotentialField(Pilot):
         """Replaces the route by the planned point, then follows it."""
         position, row = world[keys.POSITION_W], torch.arange(len(observation))
         ahead = world[keys.ROUTE_W][row, world[keys.ROUTE_INDEX][:, 0]] - position
-        boxes = self.boxes[world[keys.SCENE_INDEX][:, 0]]  # [n, boxes, 4]
-        corner, size, here = boxes[..., :2], boxes[..., 2:], position[:, None, :2]
-        away = here - here.clamp(corner, corner + size)
+        corner, size = self.boxes[world[keys.SCENE_INDEX][:, 0]].split(2, -1)  # [n, boxes, 2]
+        away = position[:, None, :2] - position[:, None, :2].clamp(corner, corner + size)
         distance = away.norm(dim=-1, keepdim=True).clamp(min=0.1)
         push = (away / distance**3 * (distance < self.seen_m)).sum(1)
         aim = ahead / ahead.norm(dim=-1, keepdim=True).clamp(min=1e-6)
         aim[:, :2] += self.k_m2 * push
-        planned = world.copy().update({keys.ROUTE_W: (position + self.ahead_m * aim)[:, None], keys.ROUTE_INDEX: torch.zeros_like(world[keys.ROUTE_INDEX])})
-        self.controller.start = None
+        planned = world.copy()
+        planned[keys.ROUTE_W] = (position + self.ahead_m * aim)[:, None]
+        planned[keys.ROUTE_INDEX] = torch.zeros_like(world[keys.ROUTE_INDEX])
+        self.controller.start = None  # the route of this step begins at the vehicle
         return self.controller.act(planned, observation)
 
 
-def main(num_envs: int = 64, *overrides: str) -> float:
-    """Flies it; returns the share of flights that arrive."""
-    env = resc.make_env(*overrides, num_envs=num_envs)
+def main(num_envs: int = 64) -> float:
+    """Flies it among boxes; returns the share of flights that arrive."""
+    env = resc.make_env("scene=training", num_envs=num_envs)
     flights = fly(env, PotentialField())
     print(f"{flights.success_rate:.0%} arrive, {flights.collision_rate:.0%} collide")
     return flights.success_rate

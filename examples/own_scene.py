@@ -17,7 +17,10 @@ class Slalom(RandomMaps):
 
     def __init__(self, *, walls: int = 3, gap_m: float = 2.0) -> None:
         super().__init__(
-            origin_m=(0.0, 0.0), size_m=(14.0, 6.0), start_m=(1.0, 3.0, 1.0), goal_m=(13.0, 3.0, 1.0)
+            origin_m=(0.0, 0.0),
+            size_m=(14.0, 6.0),
+            start_m=(1.0, 3.0, 1.0),
+            goal_m=(13.0, 3.0, 1.0),
         )
         self.walls, self.gap_m = walls, gap_m
 
@@ -26,7 +29,9 @@ class Slalom(RandomMaps):
         x = torch.linspace(3.0, 11.0, self.walls) + torch.rand(count, 1, generator=generator) - 0.5
         length = torch.full_like(x, 6.0 - self.gap_m)
         y = torch.where(torch.arange(self.walls) % 2 == 0, 0.0, self.gap_m).expand_as(x)
-        return Obstacles(torch.stack((x, y, torch.full_like(x, 0.3), length), -1), no_pillars(count))
+        return Obstacles(
+            torch.stack((x, y, torch.full_like(x, 0.3), length), -1), no_pillars(count)
+        )
 
 
 def main(num_envs: int = 8, walls: int = 3) -> Tensor:

@@ -20,25 +20,20 @@ def main(num_envs: int = 64, iterations: int = 1000, compiled: bool = True) -> N
     """Learns to fly without obstacles."""
     free = ("+experiment=obstacle_free", "reward=[progress,finish]")
     env = resc.make_env(*free, num_envs=num_envs, compile=compiled)
-    size = env.action_spec.shape[-1]
-    net = nn.Sequential(MLP(out_features=2 * size, num_cells=[64, 64]), NormalParamExtractor())
+    width, size = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
+    net = nn.Sequential(MLP(width, 2 * size, num_cells=[64, 64]), NormalParamExtractor())
     actor = ProbabilisticActor(
         TensorDictModule(net, ["observation"], ["loc", "scale"]),
         in_keys=["loc", "scale"],
         distribution_class=TanhNormal,
     )
-    critic = ValueOperator(
-        MLP(out_features=1, num_cells=[64, 64]), in_keys=["observation", "action"]
-    )
-    seen = env.restart(torch.arange(num_envs))
-    actor.module[0](TensorDictModule.__call__) if False else net(seen)
-    critic.module(seen, torch.zeros(num_envs, size))
+    value = MLP(width + size, 1, num_cells=[64, 64])
+    critic = ValueOperator(value, in_keys=["observation", "action"])
     loss_module = SACLoss(actor, critic, num_qvalue_nets=2, target_entropy=-float(size))
     loss_module.make_value_estimator(gamma=0.99)
     target = SoftUpdate(loss_module, tau=0.01)
     optimizer = torch.optim.Adam(loss_module.parameters(), lr=1e-3)
-    storage = LazyTensorStorage(1_000_000)
-    buffer = TensorDictReplayBuffer(storage=storage, batch_size=MINIBATCH)
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(10**6), batch_size=MINIBATCH)
     frames = {"frames_per_batch": STEPS * num_envs, "total_frames": STEPS * num_envs * iterations}
     collector = Collector(env, actor, auto_register_policy_transforms=False, **frames)
     arrived = ended = 0

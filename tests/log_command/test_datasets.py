@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import warnings
 
 import numpy as np
 import polars as pl
@@ -149,23 +148,6 @@ def test_minari_gives_the_transitions_back(street, whole, call, tmp_path, monkey
     np.testing.assert_array_equal(episode.truncations, mine["next", "truncated"][:, 0].numpy())
     (told,) = data.storage.get_episode_metadata([0])
     assert (told["recorded_index"], told["outcome"]) == (1, street.episodes["outcome"][1])
-
-
-def test_torchrl_reads_the_dataset_of_minari(street, whole, call, tmp_path, monkeypatch):
-    pytest.importorskip("minari")
-    pytest.importorskip("h5py")
-    assert call("minari", street.files[0])[0] == 0
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    monkeypatch.setenv("HOME", str(tmp_path))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from torchrl.data.datasets import MinariExperienceReplay
-
-        replay = MinariExperienceReplay(
-            "flights-v0", batch_size=4, load_from_local_minari=True, root=tmp_path / "torchrl"
-        )
-    assert len(replay) == len(whole)
-    assert torch.equal(replay[:]["action"], whole["action"])
 
 
 @pytest.mark.slow
