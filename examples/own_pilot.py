@@ -15,16 +15,15 @@ from resc.flying.flights import fly
 from resc.flying.pilot import Pilot
 from resc.flying.pursuit import Pursuit
 
+SEEN_M, K_M2 = 2.0, 0.3
+
 
 class PotentialField(Pilot):
     """Plans a point ahead in every step, and leaves flying there to a controller.
 
-    It is p + ahead_m ((p_next - p) / |p_next - p| + k sum (p - b) / d^3), where b is the nearest
-    point of each box within `seen_m`, at the distance d.
+    It is p + (p_next - p) / |p_next - p| + K sum (p - b) / d^3, where b is the nearest point of
+    each box within `SEEN_M`, at the distance d.
     """
-
-    def __init__(self, ahead_m: float = 1.0, seen_m: float = 2.0, k_m2: float = 0.3) -> None:
-        self.ahead_m, self.seen_m, self.k_m2 = ahead_m, seen_m, k_m2
 
     def begin(self, flights: int, stages: Stages, maps: World) -> None:
         """Takes the boxes of all scenes; the controller forgets the last flights."""
@@ -34,17 +33,18 @@ class PotentialField(Pilot):
 
     def act(self, world: TensorDictBase, observation: Float[Tensor, "n d"]) -> Float[Tensor, "n 4"]:
         """Replaces the route by the planned point, then follows it."""
-        position, row = world[keys.POSITION_W], torch.arange(len(observation))
-        ahead = world[keys.ROUTE_W][row, world[keys.ROUTE_INDEX][:, 0]] - position
+        position, route = world[keys.POSITION_W], world[keys.ROUTE_W]
+        next_point = world[keys.ROUTE_INDEX][:, 0].clamp(max=route.shape[1] - 1)
+        ahead = route[torch.arange(len(route)), next_point] - position
         corner, size = self.boxes[world[keys.SCENE_INDEX][:, 0]].split(2, -1)  # [n, boxes, 2]
         away = position[:, None, :2] - position[:, None, :2].clamp(corner, corner + size)
         distance = away.norm(dim=-1, keepdim=True).clamp(min=0.1)
-        push = (away / distance**3 * (distance < self.seen_m)).sum(1)
-        aim = ahead / ahead.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-        aim[:, :2] += self.k_m2 * push
+        push = (away / distance**3 * (distance < SEEN_M)).sum(1)
+        aim = torch.nn.functional.normalize(ahead, dim=-1)
+        aim[:, :2] += K_M2 * push
+        first = torch.zeros_like(world[keys.ROUTE_INDEX])
         planned = world.copy()
-        planned[keys.ROUTE_W] = (position + self.ahead_m * aim)[:, None]
-        planned[keys.ROUTE_INDEX] = torch.zeros_like(world[keys.ROUTE_INDEX])
+        planned[keys.ROUTE_W], planned[keys.ROUTE_INDEX] = (position + aim)[:, None], first
         self.controller.start = None  # the route of this step begins at the vehicle
         return self.controller.act(planned, observation)
 
