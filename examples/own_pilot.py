@@ -15,14 +15,13 @@ from resc.flying.flights import fly
 from resc.flying.pilot import Pilot
 from resc.flying.pursuit import Pursuit
 
-SEEN_M, K_M2 = 2.0, 0.3
+K_M2 = 0.3
 
 
 class PotentialField(Pilot):
     """Plans a point ahead in every step, and leaves flying there to a controller.
 
-    It is p + (p_next - p) / |p_next - p| + K sum (p - b) / d^3, where b is the nearest point of
-    each box within `SEEN_M`, at the distance d.
+    It is p + (p_next - p) / |p_next - p| + K sum (p - b) / d^3: b is nearest on a box, d away.
     """
 
     def begin(self, flights: int, stages: Stages, maps: World) -> None:
@@ -39,9 +38,8 @@ class PotentialField(Pilot):
         corner, size = self.boxes[world[keys.SCENE_INDEX][:, 0]].split(2, -1)  # [n, boxes, 2]
         away = position[:, None, :2] - position[:, None, :2].clamp(corner, corner + size)
         distance = away.norm(dim=-1, keepdim=True).clamp(min=0.1)
-        push = (away / distance**3 * (distance < SEEN_M)).sum(1)
         aim = torch.nn.functional.normalize(ahead, dim=-1)
-        aim[:, :2] += K_M2 * push
+        aim[:, :2] += K_M2 * (away / distance**3).sum(1)
         first = torch.zeros_like(world[keys.ROUTE_INDEX])
         planned = world.copy()
         planned[keys.ROUTE_W], planned[keys.ROUTE_INDEX] = (position + aim)[:, None], first

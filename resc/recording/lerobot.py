@@ -14,11 +14,12 @@ from tensordict import TensorDict
 
 from resc.errors import RecordingError
 from resc.recording.columns import STATE_COLUMNS
+from resc.recording.datasets import SEEN
 from resc.recording.schema import ACTION
 from resc.recording.selection import Selection
 
 TASK = "Fly along the control points to the goal."
-STATE, SEEN = "observation.state", "observation.environment_state"
+STATE = "observation.state"
 FILE_MB, CHUNK_FILES = 100, 1000
 """Size at which the next file of steps is begun, and files in a folder: LeRobot's own numbers."""
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"

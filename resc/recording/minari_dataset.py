@@ -15,6 +15,9 @@ from resc.errors import RecordingError
 from resc.recording.schema import ACTION
 from resc.recording.selection import Selection
 
+NAMES = "observation_names"
+"""Entry of the metadata with the names of the numbers in an observation."""
+
 
 def require_name(folder: Path) -> None:
     """Refuses a folder that Minari would not find.
@@ -51,7 +54,7 @@ def write_minari(
         f"Action: {', '.join(ACTION.components)}, each in [-1, 1]. {facts}"
     )
     own = {"dataset_id": name, "minari_version": __version__, "description": description}
-    storage.update_metadata(own)
+    storage.update_metadata({**own, NAMES: list(seen)})
     storage.update_episodes(_buffers(episodes, steps))
     wanted = episodes.episodes.select("index", "outcome", "success", "difficulty")
     told = wanted.rename({"index": "recorded_index"}).iter_rows(named=True)
