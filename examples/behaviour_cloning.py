@@ -42,7 +42,7 @@ from resc.policies.stored import POLICY
 from resc.process import prepare_process
 from resc.recording import RolloutLog
 from resc.recording.datasets import is_dataset, read_dataset, require_same_names
-from resc.recording.selection import TRAJECTORY
+from resc.recording.selection import TRAJECTORY, Selection
 from resc.settings import check_settings
 from resc.setup import build_stages
 from resc.starting.launch import CONF, refused
@@ -87,11 +87,15 @@ def main() -> None:
 def clone(args: argparse.Namespace, config: DictConfig) -> None:
     """Learns the recorded actions, saves the policy and flies held-out episodes."""
     prepare_process(config["threads"], config["device"])
+    flights = None
+    if not is_dataset(Path(args.recording)):
+        flights = RolloutLog(args.recording).where(success=True, complete=True)
+        flights = flights.take(range(min(args.episodes, len(flights))))
     run, stages = TrainingRun(config), build_stages(config)
     algorithm = run.algorithm(stages)
     policy = algorithm.policy
     prepare_output(args.out)
-    buffer, episodes = read(args, config, stages)
+    buffer, episodes = read(args, config, stages, flights)
     if args.batch > len(buffer):
         raise RecordingError(
             f"--batch is {args.batch:,}, more than the {len(buffer):,} transitions recorded; "
@@ -119,11 +123,11 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
 
 
 def read(
-    args: argparse.Namespace, config: DictConfig, stages: Stages
+    args: argparse.Namespace, config: DictConfig, stages: Stages, flights: Selection | None
 ) -> tuple[TensorDictReplayBuffer, int]:
     """What is learned from, and how many episodes of it."""
-    place = Path(args.recording)
-    if is_dataset(place):
+    if flights is None:
+        place = Path(args.recording)
         data, names = read_dataset(place)
         require_same_names(names, stages.observation_columns, place)
         data = data[data[TRAJECTORY] < args.episodes]
@@ -131,8 +135,6 @@ def read(
         buffer = TensorDictReplayBuffer(storage=storage, batch_size=args.batch)
         buffer.extend(data)
         return buffer, len(data[TRAJECTORY].unique())
-    flights = RolloutLog(args.recording).where(success=True, complete=True)
-    flights = flights.take(range(min(args.episodes, len(flights))))
     recorded = recorded_config(flights, config["allowed_targets"])
     sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
     shown = build_stages({**recorded, **sees})
