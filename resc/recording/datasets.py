@@ -8,7 +8,7 @@ import polars as pl
 import torch
 from tensordict import TensorDict
 
-from resc.errors import RecordingError, nearest
+from resc.errors import RecordingError
 from resc.recording.selection import TRAJECTORY
 
 SEEN = "observation.environment_state"
@@ -45,7 +45,7 @@ def require_same_names(found: list[str], wanted: list[str], place: Path) -> None
     missing = next((name for name in wanted if name not in found), None)
     what = "its numbers in another order"
     if missing is not None:
-        what = f"no {missing}.{nearest(missing, found)}".removesuffix(".")
+        what = f"no {missing}"
     raise RecordingError(
         f"{place} holds observations of another configuration: {what}; give the overrides that "
         "its recording was made with, or write the dataset again."

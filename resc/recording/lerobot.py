@@ -4,15 +4,18 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 from jaxtyping import Shaped
 from pyarrow import parquet
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 
 from resc.errors import RecordingError
+from resc.keys import NestedKey
 from resc.recording.columns import STATE_COLUMNS
 from resc.recording.datasets import SEEN
 from resc.recording.schema import ACTION
@@ -51,7 +54,7 @@ class Feature:
             return flat
         return pa.FixedSizeListArray.from_arrays(flat, part.shape[1])
 
-    def statistics(self, rows: slice) -> dict[str, list[float]]:
+    def statistics(self, rows: slice) -> dict[str, list[Any]]:
         """What policies are normalised by."""
         part = self.values[rows].astype(np.float64)
         quantiles = np.quantile(part, list(_QUANTILES.values()), axis=0)
@@ -114,15 +117,15 @@ def frames_per_second(dt_s: float) -> int:
 def _recorded(episodes: Selection, steps: TensorDict, seen: Sequence[str]) -> dict[str, Feature]:
     """The state, what was observed of the scene, what was done, and what came of it."""
     recorded = episodes.to_tensordict()
-    state = [recorded[column.key].numpy() for column in STATE_COLUMNS]
+    state = [_array(recorded, column.key) for column in STATE_COLUMNS]
     names = [f"{column.key[-1]}.{part}" for column in STATE_COLUMNS for part in column.components]
-    after = {name: steps["next", name].cpu().numpy() for name in ("reward", "done")}
+    after = {name: _array(steps, ("next", name)) for name in ("reward", "done")}
     lengths, success = episodes.episodes["length"], episodes.episodes["success"]
     arrives = np.repeat(success.to_numpy(), lengths.to_numpy())[:, None] & after["done"]
     return {
         STATE: Feature(np.concatenate(state, 1), names),
-        SEEN: Feature(steps["observation"].cpu().numpy(), seen),
-        "action": Feature(steps["action"].cpu().numpy(), ACTION.components),
+        SEEN: Feature(_array(steps, "observation"), seen),
+        "action": Feature(_array(steps, "action"), ACTION.components),
         "next.reward": Feature(after["reward"]),
         "next.done": Feature(after["done"]),
         "next.success": Feature(arrives),
@@ -203,6 +206,10 @@ def _info(
         "video_path": None,
         "features": {name: feature.described() for name, feature in features.items()},
     }
+
+
+def _array(steps: TensorDictBase, key: NestedKey) -> Shaped[np.ndarray, "s w"]:
+    return cast(Tensor, steps[key]).cpu().numpy()
 
 
 def _place(number: int) -> str:

@@ -3,8 +3,10 @@
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
+import torch
 from gymnasium.spaces import Box
 from minari import __version__
 from minari.data_collector import EpisodeBuffer
@@ -64,13 +66,10 @@ def write_minari(
 def _buffers(episodes: Selection, steps: TensorDict) -> Iterator[EpisodeBuffer]:
     """One episode after the other; the observations are one more than the actions."""
     for part in steps.cpu().split(episodes.episodes["length"].to_list()):
-        after = part["next"]
-        observations = np.concatenate((part["observation"], after["observation"][-1:]))
-        ends = {name: after[name][:, 0].numpy() for name in ("reward", "terminated", "truncated")}
-        yield EpisodeBuffer(
-            observations=observations,
-            actions=part["action"].numpy(),
-            rewards=ends["reward"],
-            terminations=ends["terminated"],
-            truncations=ends["truncated"],
-        )
+        after = cast(TensorDict, part["next"])
+        observations = torch.cat((part["observation"], after["observation"][-1:]))
+        ends = [after[name][:, 0] for name in ("reward", "terminated", "truncated")]
+        told = [part["action"], *ends]
+        # Minari's annotations say lists; it stores arrays as they are.
+        arrays: list[Any] = [cast(torch.Tensor, each).numpy() for each in (observations, *told)]
+        yield EpisodeBuffer(None, None, None, *arrays)

@@ -95,7 +95,7 @@ def test_a_policy_is_learned_from_a_dataset(command, name, teacher, run, tmp_pat
     assert code == 0, out
     assert "after cloning 1 episodes" in out
     code, _ = run(dataset, *held_out, "obstacle_observation=ray_guiding", *learn[:-1], "other")
-    assert "holds observations of another configuration: no ray_guiding" in code
+    assert "holds observations of another configuration: no ray_sampling" in code
 
 
 @pytest.mark.slow
