@@ -14,8 +14,8 @@ from pyarrow import parquet
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from resc import keys
 from resc.errors import RecordingError
-from resc.keys import NestedKey
 from resc.recording.columns import STATE_COLUMNS
 from resc.recording.datasets import SEEN
 from resc.recording.schema import ACTION
@@ -124,8 +124,8 @@ def _recorded(episodes: Selection, steps: TensorDict, seen: Sequence[str]) -> di
     arrives = np.repeat(success.to_numpy(), lengths.to_numpy())[:, None] & after["done"]
     return {
         STATE: Feature(np.concatenate(state, 1), names),
-        SEEN: Feature(_array(steps, "observation"), seen),
-        "action": Feature(_array(steps, "action"), ACTION.components),
+        SEEN: Feature(_array(steps, ("observation",)), seen),
+        "action": Feature(_array(steps, keys.ACTION), ACTION.components),
         "next.reward": Feature(after["reward"]),
         "next.done": Feature(after["done"]),
         "next.success": Feature(arrives),
@@ -208,7 +208,7 @@ def _info(
     }
 
 
-def _array(steps: TensorDictBase, key: NestedKey) -> Shaped[np.ndarray, "s w"]:
+def _array(steps: TensorDictBase, key: keys.NestedKey) -> Shaped[np.ndarray, "s w"]:
     return cast(Tensor, steps[key]).cpu().numpy()
 
 
