@@ -81,6 +81,7 @@ def test_a_policy_is_learned_and_flown(teacher, run, tmp_path):
     assert "own/policy holds a policy; give another folder with --out" in code
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "name"), [("lerobot", "lerobot"), ("minari", "flights-v0")])
 def test_a_policy_is_learned_from_a_dataset(command, name, teacher, run, tmp_path):
     pytest.importorskip("minari" if command == "minari" else "pandas")
