@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 PYTHON ?= python3.13 python3.12 python3.11 python3
 ARGS ?=
 # All but ray and rerun, which are large, mlflow and trackio, which want older packages than the rest.
-EXTRAS := dev benchmark bound dataframes estimation examples export link maps optuna px4 simulators slurm video wandb
+EXTRAS := dev benchmark bound dataframes estimation examples export link maps minari notebook optuna px4 simulators slurm video wandb
 
 # What `make readers` installs beside the lock file.
 NODE_PACKAGES := @mcap/core@2.2.2 @mcap/support@1.1.0 protobufjs@8.8.1

@@ -9,6 +9,11 @@ by flying them again, so the student may see something else than the teacher did
 
 python examples/behaviour_cloning.py runs/teacher/rollouts obstacle_observation=ray_guiding
 
+So may a dataset that `resc-log lerobot` or `resc-log minari` has written, with what it shows:
+
+resc-log lerobot runs/teacher/rollouts --where success --out runs/dataset
+python examples/behaviour_cloning.py runs/dataset
+
 A recording whose configuration names parts of your own package is flown only if you allow it:
 
 python examples/behaviour_cloning.py runs/teacher/rollouts --allow mypackage.
@@ -23,10 +28,12 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import trange
 
 from resc import schema
+from resc.envs.stages import Stages
 from resc.errors import RecordingError, RescError
 from resc.flying.replay import recorded_config
 from resc.learning.offline import replay_buffer
@@ -34,6 +41,8 @@ from resc.learning.training_run import TrainingRun
 from resc.policies.stored import POLICY
 from resc.process import prepare_process
 from resc.recording import RolloutLog
+from resc.recording.datasets import is_dataset, read_dataset, require_same_names
+from resc.recording.selection import TRAJECTORY, Selection
 from resc.settings import check_settings
 from resc.setup import build_stages
 from resc.starting.launch import CONF, refused
@@ -45,7 +54,7 @@ SEES = ("env", "observation")
 def main() -> None:
     """Reads the command line; a wrong one ends with a sentence and status 1 or 2."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("recording", help="an .mcap file, a folder or a pattern")
+    parser.add_argument("recording", help="an .mcap file, a folder, a pattern, a dataset")
     parser.add_argument("overrides", nargs="*", help="of conf/train.yaml: what the student sees")
     parser.add_argument("--episodes", type=_count, default=500, help="how many to learn from")
     parser.add_argument("--updates", type=_count, default=5000, help="gradient steps")
@@ -78,18 +87,15 @@ def main() -> None:
 def clone(args: argparse.Namespace, config: DictConfig) -> None:
     """Learns the recorded actions, saves the policy and flies held-out episodes."""
     prepare_process(config["threads"], config["device"])
-    allowed = config["allowed_targets"]
-    flights = RolloutLog(args.recording).where(success=True, complete=True)
-    flights = flights.take(range(min(args.episodes, len(flights))))
+    flights = None
+    if not is_dataset(Path(args.recording)):
+        flights = RolloutLog(args.recording).where(success=True, complete=True)
+        flights = flights.take(range(min(args.episodes, len(flights))))
     run, stages = TrainingRun(config), build_stages(config)
     algorithm = run.algorithm(stages)
     policy = algorithm.policy
     prepare_output(args.out)
-    recorded = recorded_config(flights, allowed)
-    sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
-    buffer = replay_buffer(
-        flights, batch_size=args.batch, stages=build_stages({**recorded, **sees})
-    )
+    buffer, episodes = read(args, config, stages, flights)
     if args.batch > len(buffer):
         raise RecordingError(
             f"--batch is {args.batch:,}, more than the {len(buffer):,} transitions recorded; "
@@ -112,8 +118,27 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
     held_out = run.fly_held_out(args.out)
     print(
         f"{held_out.success_rate:.1%} of {len(held_out)} held-out episodes succeed after cloning "
-        f"{len(flights)} episodes ({len(buffer)} transitions). Policy: {args.out}"
+        f"{episodes} episodes ({len(buffer)} transitions). Policy: {args.out}"
     )
+
+
+def read(
+    args: argparse.Namespace, config: DictConfig, stages: Stages, flights: Selection | None
+) -> tuple[TensorDictReplayBuffer, int]:
+    """What is learned from, and how many episodes of it."""
+    if flights is None:
+        place = Path(args.recording)
+        data, names = read_dataset(place)
+        require_same_names(names, stages.observation_columns, place)
+        data = data[data[TRAJECTORY] < args.episodes]
+        storage = LazyTensorStorage(len(data))
+        buffer = TensorDictReplayBuffer(storage=storage, batch_size=args.batch)
+        buffer.extend(data)
+        return buffer, len(data[TRAJECTORY].unique())
+    recorded = recorded_config(flights, config["allowed_targets"])
+    sees = {group: OmegaConf.to_container(config[group], resolve=True) for group in SEES}
+    shown = build_stages({**recorded, **sees})
+    return replay_buffer(flights, batch_size=args.batch, stages=shown), len(flights)
 
 
 def prepare_output(folder: Path) -> None:

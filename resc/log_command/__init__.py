@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from resc.errors import ExitCode, RescError
-from resc.log_command import convert, look, mend, real
+from resc.log_command import convert, datasets, look, mend, real
 
 DESCRIPTION = """Look at recordings, convert and mend them.
 
@@ -33,7 +33,7 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for group in (look, convert, mend, real):
+    for group in (look, convert, datasets, mend, real):
         group.add_commands(commands)
     return parser
 

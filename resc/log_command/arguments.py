@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,6 +57,13 @@ def add_output(parser: argparse.ArgumentParser, default: str) -> None:
     """The options --out and --force."""
     parser.add_argument("--out", type=Path, metavar="FILE", help=f"output; default: {default}")
     parser.add_argument("--force", action="store_true", help="overwrite the output if it exists")
+
+
+def add_folder(parser: argparse.ArgumentParser, default: str) -> None:
+    """The option --out, of what writes a folder."""
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help=f"a new one; default: {default} in this folder"
+    )
 
 
 def add_allow(parser: argparse.ArgumentParser) -> None:
@@ -139,6 +147,33 @@ def output(given: argparse.Namespace, default: Path) -> Path:
     if not path.parent.is_dir():
         raise RecordingError(f"{path.parent} is not a folder; create it, or change --out.")
     return path
+
+
+def output_folder(given: argparse.Namespace, default: Path) -> Path:
+    """Where a folder goes.
+
+    Raises:
+        RecordingError: Something is there already, or the folder to hold it is not.
+    """
+    path: Path = default if given.out is None else given.out
+    if os.path.lexists(path):
+        raise RecordingError(f"{path} exists; name a new folder with --out.")
+    if not path.parent.is_dir():
+        raise RecordingError(f"{path.parent} is not a folder; create it, or change --out.")
+    return path
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Gives a folder to fill, which becomes `path` once it is whole, and goes after an error."""
+    unfinished = path.with_name(f".{path.name}.part")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir()
+    try:
+        yield unfinished
+        unfinished.rename(path)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _inputs(given: argparse.Namespace) -> list[Path]:

@@ -7,6 +7,7 @@ from omegaconf import OmegaConf
 from street import fly_street
 
 from examples import behaviour_cloning
+from resc.log_command import main as resc_log
 from resc.policies.stored import load_policy
 from resc.recording.indexing import open_source
 from resc.recording.segment import FileHead, Segment
@@ -78,6 +79,24 @@ def test_a_policy_is_learned_and_flown(teacher, run, tmp_path):
     load_policy(tmp_path / "own" / "policy")
     code, _ = run(teacher, *SMALL, "--updates", 3, "--batch", 8, "--out", "own/policy")
     assert "own/policy holds a policy; give another folder with --out" in code
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("command", "name"), [("lerobot", "lerobot"), ("minari", "flights-v0")])
+def test_a_policy_is_learned_from_a_dataset(command, name, teacher, run, tmp_path):
+    pytest.importorskip("minari" if command == "minari" else "pandas")
+    dataset = tmp_path / name
+    with pytest.raises(SystemExit) as ended:
+        resc_log([command, str(teacher), "--out", str(dataset)])
+    assert ended.value.code == 0
+    learn = ("--episodes", 1, "--updates", 3, "--batch", 8, "--out", "own")
+    held_out = ("model.hidden=[8]", "evaluation_episodes=2", "pool_size=2")
+    limit = "termination.time_limit.limit_s=0.2"
+    code, out = run(dataset, *held_out, limit, *learn)
+    assert code == 0, out
+    assert "after cloning 1 episodes" in out
+    code, _ = run(dataset, *held_out, "obstacle_observation=ray_guiding", *learn[:-1], "other")
+    assert "holds observations of another configuration: no ray_sampling" in code
 
 
 @pytest.mark.slow

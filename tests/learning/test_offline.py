@@ -9,7 +9,8 @@ from test_ppo import SMALL
 
 from resc import keys
 from resc.errors import RecordingError
-from resc.learning.offline import replay_buffer, transitions
+from resc.flying.transitions import transitions
+from resc.learning.offline import replay_buffer
 from resc.learning.training import record_batch
 from resc.learning.training_run import TrainingRun
 from resc.recording.reader import RolloutLog

@@ -43,8 +43,8 @@ def commands():
 
 
 def test_all_commands_are_there():
-    expected = "check episodes from-ulog identify info merge parquet plot recover rerun scene"
-    assert commands() == [*expected.split(), "schema", "smooth", "video"]
+    expected = "check episodes from-ulog identify info lerobot merge minari parquet plot recover"
+    assert commands() == [*expected.split(), "rerun", "scene", "schema", "smooth", "video"]
 
 
 @pytest.mark.parametrize("command", commands())

@@ -10,7 +10,7 @@ from street import fly_street
 from resc import keys
 from resc.errors import RecordingError
 from resc.flying.replay import fly_again
-from resc.learning.offline import transitions
+from resc.flying.transitions import transitions
 from resc.learning.training import record_batch
 from resc.learning.training_run import TrainingRun
 from resc.recording import RolloutLog

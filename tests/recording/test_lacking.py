@@ -10,7 +10,7 @@ from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import RecordingError
 from resc.evaluation.scene_files import _chosen
 from resc.flying.replay import compare, fly_again
-from resc.learning.offline import transitions
+from resc.flying.transitions import transitions
 from resc.recording import RolloutLog
 from resc.viewing.episode_scene import load_scene
 from resc.viewing.plot import draw_episode
