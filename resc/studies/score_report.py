@@ -16,8 +16,8 @@ from scipy.stats import t as student
 
 from resc.errors import ConfigError
 from resc.evaluation.table import aligned
+from resc.math.bootstrap import LEVEL, NOTHING, Estimate
 from resc.studies.ablation_figures import COLOURS, DPI, MARKERS
-from resc.studies.bootstrap import LEVEL, NOTHING, Estimate
 from resc.studies.study import Run, Sweep
 from resc.viewing.colours import TEXT
 

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from resc.build import load_config
 from resc.errors import ConfigError
 from resc.flying.held_out import Episodes, read_episodes
-from resc.groups import names
+from resc.groups import OWN_ENV, names
 from resc.learning.training_run import TrainingRun
 from resc.run_folder import (
     CONFIG,
@@ -30,8 +30,6 @@ from resc.sweep_folder import begun_as, go_on, origin_of, require_as_begun
 PROGRESS = "progress.csv"
 TASK = names(lambda group: group.compared)
 """Groups that held-out flights must share to be compared."""
-OWN_ENV = ("layout", "history", "observation_frame")
-"""Entries of `env` that say what the policy sees, not what it flies."""
 SEED, BUDGET = "seed", "total_frames"
 SUCCESS, SPEED = "outcome/success", "speed/steps_per_s"
 
