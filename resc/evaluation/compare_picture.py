@@ -49,17 +49,17 @@ def draw_paths(
 
 
 def draw_times(entrants: Sequence[Entrant], shared: Shared, path: Path) -> None:
-    """Draws each flight's time against that of the first entrant, a panel for each other one."""
+    """Draws how much later than the first entrant each other one arrives, a panel for each."""
     others = range(1, len(entrants))
-    width = 4.4 * len(others)
     figure, grid = plt.subplots(
-        1, len(others), figsize=(width, 4.6), squeeze=False, layout="constrained"
-    )
+        1, len(others), figsize=(max(6.5, 4.6 * len(others)), 4.4), squeeze=False,
+        layout="constrained",
+    )  # fmt: skip
     scenes = shared.table["scene"].unique(maintain_order=True).to_list()
     for axes, number in zip(grid.flat, others, strict=True):
         _draw_pairs(axes, shared.table, scenes, number)
         axes.set_xlabel(f"{entrants[0].name}: time [s]")
-        axes.set_ylabel(f"{entrants[number].name}: time [s]")
+        axes.set_ylabel(f"{entrants[number].name}: later by [s]")
     _legend(figure, _scene_marks(scenes))
     figure.savefig(path, dpi=DPI)
     plt.close(figure)
@@ -140,34 +140,26 @@ def _draw_map(
 
 def _draw_pairs(axes: Axes, table: pl.DataFrame, scenes: Sequence[str], number: int) -> None:
     """A point for every flight in which both arrive; crosses at the edge where only one does."""
-    times = [table[f"time/{n}"].to_numpy() for n in (0, number)]
-    arrived = [
-        table[f"success/{n}"].to_numpy() & ~np.isnan(t)
-        for n, t in zip((0, number), times, strict=True)
-    ]
-    both, alone = arrived[0] & arrived[1], (arrived[0] & ~arrived[1], arrived[1] & ~arrived[0])
-    known = np.concatenate([t[a] for t, a in zip(times, arrived, strict=True)])
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-    margin = 0.06 * (high - low) + 0.1
-    axes.axline((low, low), slope=1, color=FRAME, linewidth=0.8, zorder=1)
+    ours, theirs = (table[f"time/{n}"].to_numpy() for n in (0, number))
+    first, other = (table[f"success/{n}"].to_numpy() for n in (0, number))
+    later = np.where(first & other, theirs - ours, np.nan)
+    axes.axhline(0, color=FRAME, linewidth=0.8, zorder=1)
     for place, scene in enumerate(scenes):
-        own = both & (table["scene"] == scene).to_numpy()
-        axes.scatter(
-            times[0][own],
-            times[1][own],
-            s=16,
-            alpha=0.7,
-            color=_colour(place),
-            marker=MARKERS[place % len(MARKERS)],
-            linewidths=0,
-        )
-    edge = high + margin
-    cross = {"marker": "x", "s": 22, "color": COLLISION, "linewidths": 1.0, "clip_on": False}
-    axes.scatter(times[0][alone[0]], np.full(alone[0].sum(), edge), **cross)
-    axes.scatter(np.full(alone[1].sum(), edge), times[1][alone[1]], **cross)
-    axes.set(xlim=(low - margin, edge), ylim=(low - margin, edge), aspect="equal")
-    told = f"{both.sum()} arrive with both, {alone[0].sum()} and {alone[1].sum()} with one (x)"
-    axes.set_title(told, fontsize="small", color=TEXT)
+        own = (table["scene"] == scene).to_numpy()
+        look = {"color": _colour(place), "marker": MARKERS[place % len(MARKERS)]}
+        axes.scatter(ours[own], later[own], s=18, alpha=0.7, linewidths=0, **look)
+    far = 1.15 * max(0.1, float(np.nanmax(np.abs(later), initial=0.0)))
+    alone = first & ~other, other & ~first
+    cross = {"marker": "x", "s": 24, "color": COLLISION, "linewidths": 1.0, "clip_on": False}
+    axes.scatter(ours[alone[0]], np.full(alone[0].sum(), far), **cross)
+    axes.scatter(theirs[alone[1]], np.full(alone[1].sum(), -far), **cross)
+    axes.set_ylim(-far, far)
+    axes.set_title(
+        f"both arrive: {(first & other).sum()}; x: {alone[0].sum()} only the first (above), "
+        f"{alone[1].sum()} only the other (below)",
+        fontsize="small",
+        color=TEXT,
+    )
     axes.grid(alpha=0.2)
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -209,5 +201,5 @@ def _colour(number: int) -> str:
 
 def _legend(figure: Figure, entries: Sequence[Artist]) -> None:
     figure.legend(
-        handles=[*entries], loc="outside lower center", ncols=5, frameon=False, fontsize=9
+        handles=[*entries], loc="outside lower center", ncols=4, frameon=False, fontsize=9
     )

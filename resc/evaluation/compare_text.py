@@ -18,17 +18,17 @@ SIDE_BY_SIDE = (
     "scene", "", "flights", "success [%]", "time [s]", "energy [m^2/s^5]", "least clearance [m]",
     "median clearance [m]",
 )  # fmt: skip
-AGAINST = ("scene", "", "success [points]", "arrives alone", "p", "time [s]", "energy [m^2/s^5]",
+AGAINST = ("scene", "", "success [points]", "arrives alone", "McNemar p", "time [s]", "energy [m^2/s^5]",
            "clearance [m]")  # fmt: skip
 NOTE = """\
 All numbers are of the flights that all of them flew from the same start along the same route. Side
-by side: time, energy and path are medians over the flights that arrive. Differences are those of
+by side: time and energy are medians over the flights that arrive. Differences are those of
 the same flights, with 95 % intervals; an interval without zero is in bold. Success: Newcombe's
 interval for paired rates. Arrives alone: flights in which only {first} arrives, and flights in
 which only the other one does; p: McNemar's exact test of the two. Time and energy: mean over the
 flights in which both arrive; clearance: mean of each flight's least one, arrived or not. Their
 intervals are of {draws:,} bootstrap samples. Flights on one map are alike: maps are drawn, and
-counted, as a whole. No interval and no p is corrected for how many there are. A comparison of two
+counted, as a whole, within their scene. No interval and no p is corrected for how many there are. A comparison of two
 policies says nothing about other training seeds.
 """
 
@@ -41,7 +41,7 @@ def write_text(
     _write_flights(entrants, shared, folder / FLIGHTS)
     first, *others = (entrant.name for entrant in entrants)
     parts = [
-        f"# {_listed(others)} against {first}",
+        f"# {_listed(others)} against {first}\n",
         aligned([["", "folder", "policy", "commit"], *map(_facts, entrants)]),
         "\n".join(sentences(entrants, shared)) + "\n",
         f"## Side by side\n\n{side_by_side(entrants, shared)}",
@@ -125,7 +125,13 @@ def _ends(found: Estimate) -> tuple[float, float]:
 
 def _facts(entrant: Entrant) -> list[str]:
     policy, commit = entrant.told
-    return [entrant.name, str(entrant.folder), policy, commit[:10]]
+    return [entrant.name, str(_near(entrant.folder)), policy, commit[:10]]
+
+
+def _near(path: Path) -> Path:
+    """The path as seen from the working directory, if that is shorter."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
 
 
 def _listed(names: Sequence[str]) -> str:

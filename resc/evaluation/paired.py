@@ -96,6 +96,7 @@ def scenes_in(shared: Shared) -> list[tuple[str, pl.DataFrame]]:
 def contrast(scene: str, flights: pl.DataFrame, number: int) -> Contrast:
     """One entrant against the first, in some flights."""
     first, other = (flights[f"success/{n}"].to_numpy() for n in (0, number))
+    scenes = np.unique(flights["scene"].to_numpy(), return_inverse=True)[1]
     alike, _ = clusters(
         {name: flights[name].to_numpy() for name in ("scene", "map")}
         | {"flight": np.arange(len(flights))}
@@ -108,7 +109,8 @@ def contrast(scene: str, flights: pl.DataFrame, number: int) -> Contrast:
         pairs[name] = int(counted.sum())
         # Every scene and number has draws of its own, whatever else is compared.
         draws = generator(0, scene, name)
-        measures[name] = mean_difference((theirs - ours)[counted], alike[counted], draws)
+        gain, group = (theirs - ours)[counted], scenes[counted]
+        measures[name] = mean_difference(gain, alike[counted], group, draws)
     return Contrast(
         scene=scene,
         number=number,
@@ -163,18 +165,28 @@ def _limits(arrived: Bool[np.ndarray, " n"], alike: Int[np.ndarray, " n"]) -> tu
 
 
 def mean_difference(
-    gain: Float[np.ndarray, " n"], alike: Int[np.ndarray, " n"], draws: np.random.Generator
+    gain: Float[np.ndarray, " n"],
+    alike: Int[np.ndarray, " n"],
+    scene: Int[np.ndarray, " n"],
+    draws: np.random.Generator,
 ) -> Estimate:
     """The mean of differences, with a bootstrap interval over what is independent: maps or flights.
 
-    NaN of none; no interval of one map or flight.
+    They are drawn within their scenes, which are no sample. NaN of none; no interval where no
+    scene has two.
     """
     if not len(gain):
         return NOTHING
-    _, place = np.unique(alike, return_inverse=True)
+    _, where, place = np.unique(alike, return_index=True, return_inverse=True)
     sums, counts = np.bincount(place, gain), np.bincount(place)
-    many = len(sums)
-    if many == 1:
-        return Estimate(float(gain.mean()), np.nan, np.nan)
-    times = draws.multinomial(many, np.full(many, 1 / many), DRAWS)
-    return estimate(float(gain.mean()), (times @ sums) / (times @ counts))
+    total, number = np.zeros(DRAWS), np.zeros(DRAWS)
+    groups = [np.flatnonzero(scene[where] == one) for one in np.unique(scene)]
+    for group in groups:
+        size = len(group)
+        times = draws.multinomial(size, np.full(size, 1 / size), DRAWS)
+        total += times @ sums[group]
+        number += times @ counts[group]
+    value = float(gain.mean())
+    if max(map(len, groups)) == 1:
+        return Estimate(value, np.nan, np.nan)
+    return estimate(value, total / number)
