@@ -11,6 +11,7 @@ from resc.evaluation.entrants import KEYS, MEASURES, Entrant, differences
 from resc.evaluation.paired import ALL, Contrast, Shared, scenes_in
 from resc.evaluation.table import aligned
 from resc.math.bootstrap import DRAWS, Estimate
+from resc.run_folder import near
 
 DIFFERENCES, FLIGHTS = "differences.csv", "flights.csv"
 DIGITS = {"time": 2, "energy": 0, "clearance": 3}
@@ -18,17 +19,19 @@ SIDE_BY_SIDE = (
     "scene", "", "flights", "success [%]", "time [s]", "energy [m^2/s^5]", "least clearance [m]",
     "median clearance [m]",
 )  # fmt: skip
-AGAINST = ("scene", "", "success [points]", "arrives alone", "McNemar p", "time [s]", "energy [m^2/s^5]",
-           "clearance [m]")  # fmt: skip
+AGAINST = (
+    "scene", "", "success [points]", "arrives alone", "McNemar p", "time [s]", "energy [m^2/s^5]",
+    "clearance [m]",
+)  # fmt: skip
 NOTE = """\
 All numbers are of the flights that all of them flew from the same start along the same route. Side
-by side: time and energy are medians over the flights that arrive. Differences are those of
-the same flights, with 95 % intervals; an interval without zero is in bold. Success: Newcombe's
-interval for paired rates. Arrives alone: flights in which only {first} arrives, and flights in
-which only the other one does; p: McNemar's exact test of the two. Time and energy: mean over the
-flights in which both arrive; clearance: mean of each flight's least one, arrived or not. Their
-intervals are of {draws:,} bootstrap samples. Flights on one map are alike: maps are drawn, and
-counted, as a whole, within their scene. No interval and no p is corrected for how many there are. A comparison of two
+by side: time and energy are medians over the flights that arrive. Differences are those of the same
+flights, with 95 % intervals; an interval without zero is in bold. Success: Newcombe's interval for
+paired rates. Arrives alone: flights in which only {first} arrives, and flights in which only the
+other one does; McNemar p: his exact test of the two. Time and energy: mean over the flights in
+which both arrive; clearance: mean of each flight's least one, arrived or not. Their intervals are
+of {draws:,} bootstrap samples. Flights on one map are alike: maps are drawn and counted as a whole,
+within their scene. No interval and no p is corrected for how many there are. A comparison of two
 policies says nothing about other training seeds.
 """
 
@@ -125,13 +128,7 @@ def _ends(found: Estimate) -> tuple[float, float]:
 
 def _facts(entrant: Entrant) -> list[str]:
     policy, commit = entrant.told
-    return [entrant.name, str(_near(entrant.folder)), policy, commit[:10]]
-
-
-def _near(path: Path) -> Path:
-    """The path as seen from the working directory, if that is shorter."""
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path
+    return [entrant.name, str(near(entrant.folder)), policy, commit[:10]]
 
 
 def _listed(names: Sequence[str]) -> str:
