@@ -14,7 +14,8 @@ from resc.math.bootstrap import DRAWS, Estimate
 from resc.run_folder import near
 
 DIFFERENCES, FLIGHTS = "differences.csv", "flights.csv"
-DIGITS = {"time": 2, "energy": 0, "clearance": 3}
+DIGITS = {"success": 1, "time": 3, "energy": 0, "clearance": 3}
+"""Of differences."""
 SIDE_BY_SIDE = (
     "scene", "", "flights", "success [%]", "time [s]", "energy [m^2/s^5]", "least clearance [m]",
     "median clearance [m]",
@@ -31,8 +32,9 @@ paired rates. Arrives alone: flights in which only {first} arrives, and flights 
 other one does; McNemar p: his exact test of the two. Time and energy: mean over the flights in
 which both arrive; clearance: mean of each flight's least one, arrived or not. Their intervals are
 of {draws:,} bootstrap samples. Flights on one map are alike: maps are drawn and counted as a whole,
-within their scene. No interval and no p is corrected for how many there are. A comparison of two
-policies says nothing about other training seeds.
+within their scene; on a scene with one map the starts are the sample, and nothing is said about
+other maps. No interval and no p is corrected for how many there are. A comparison of two policies
+says nothing about other training seeds.
 """
 
 
@@ -82,8 +84,8 @@ def side_by_side(entrants: Sequence[Entrant], shared: Shared) -> str:
             arrived = flights.filter(pl.col(f"success/{number}"))
             # Medians over scenes of different length mean nothing.
             middle = [
-                "" if scene == ALL else _number(arrived[f"{name}/{number}"].median(), DIGITS[name])
-                for name in ("time", "energy")
+                "" if scene == ALL else _number(arrived[f"{name}/{number}"].median(), digits)
+                for name, digits in (("time", 2), ("energy", 0))
             ]
             near = flights[f"clearance/{number}"]
             rate = _number(100 * len(arrived) / len(flights), 1)
@@ -96,12 +98,13 @@ def against(entrants: Sequence[Entrant], contrasts: Sequence[Contrast]) -> str:
     """The differences from the first entrant."""
     rows = []
     for found in contrasts:
-        success = Estimate(*(100 * v for v in (found.success.value, *_ends(found.success))))
+        rate = found.success
+        points = Estimate(100 * rate.value, 100 * rate.low, 100 * rate.high)
         rows.append(
             [
                 found.scene,
                 entrants[found.number].name,
-                signed(success, 1),
+                signed(points, DIGITS["success"]),
                 f"{found.only_first} : {found.only_other}",
                 f"{found.p:.2g}",
                 *(signed(found.measures[name], DIGITS[name]) for name in MEASURES),
@@ -115,15 +118,11 @@ def signed(difference: Estimate, digits: int) -> str:
     if math.isnan(difference.value):
         return "-"
     value = f"{difference.value:+z.{digits}f}"
-    low, high = _ends(difference)
+    low, high = difference.low, difference.high
     if math.isnan(low):
         return value
     text = f"{value} ({low:+z.{digits}f} to {high:+z.{digits}f})"
     return f"**{text}**" if low > 0 or high < 0 else text
-
-
-def _ends(found: Estimate) -> tuple[float, float]:
-    return found.low, found.high
 
 
 def _facts(entrant: Entrant) -> list[str]:
