@@ -155,8 +155,8 @@ def _draw_pairs(axes: Axes, table: pl.DataFrame, scenes: Sequence[str], number: 
     axes.scatter(theirs[alone[1]], np.full(alone[1].sum(), -far), **cross)
     axes.set_ylim(-far, far)
     axes.set_title(
-        f"both arrive: {(first & other).sum()}; x: {alone[0].sum()} only the first (above), "
-        f"{alone[1].sum()} only the other (below)",
+        f"both arrive {(first & other).sum()}, only the first {alone[0].sum()} (x above), "
+        f"only the other {alone[1].sum()} (x below)",
         fontsize="small",
         color=TEXT,
     )
