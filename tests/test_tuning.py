@@ -83,10 +83,11 @@ def test_objective_that_no_summary_has_is_told_after_the_first_trial(
     assert not (tmp_path / "swept" / "1").exists()
     start("resume=swept", "hydra.sweeper.objective=success_rate", "hydra.sweeper.trials=2")
     out = capsys.readouterr().out
-    assert "[1/3] run 0" in out
     assert "[1/2] run 0: finished, 50.0% succeed (kept)" in out
     assert "[2/2] run 1" in out
     assert (tmp_path / "swept" / "best.yaml").exists()
+    assert f"Report: {tmp_path / 'swept' / 'report' / 'report.md'}" in out
+    assert f" hydra.sweeper.best_of={tmp_path / 'swept'}" in out
     told = refusal("resume=swept", "hydra.sweeper.objective=episodes", "hydra.sweeper.trials=3")
     assert "tunes success_rate; leave it out, or start a new sweep" in told
     assert json.loads((tmp_path / "swept" / "1" / "job.json").read_text())["overrides"]

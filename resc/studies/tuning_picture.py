@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from resc.studies.study import short_keys
 from resc.studies.tuning_study import Tuning
@@ -83,6 +83,9 @@ def _slice(axes: Axes, tuning: Tuning, name: str) -> None:
     axes.set_xlabel(short_keys(tuning.params)[name])
     if name in tuning.logarithmic:
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _finish(figure: Figure, path: Path) -> None:

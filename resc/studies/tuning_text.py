@@ -8,6 +8,7 @@ from typing import Any
 from resc.command_line import override, shell, starting
 from resc.evaluation.statistics import wilson_interval
 from resc.evaluation.table import aligned
+from resc.starting.origin import MULTIRUN, is_among
 from resc.studies.study import short_keys
 from resc.studies.tuning_picture import HISTORY, IMPORTANCE, SLICES
 from resc.studies.tuning_study import Tuning
@@ -21,8 +22,8 @@ One seed each, and the best of {count}: part of its lead is luck. {interval}Trai
 with seeds and held-out scenes that the tuning has not seen, beside what was not tuned:
 """
 IMPORTANCES = """\
-PED-ANOVA: how much the choice of each parameter sets the best tenth of the trials apart from all of
-them, as shares of one. Of few trials it says little, and TPE tries good values more often.
+PED-ANOVA: how much the choice of each parameter sets the best quarter of the trials apart from all
+of them, as shares of one. In 60 trials, a parameter without any effect may still get 0.3.
 """
 
 
@@ -60,11 +61,11 @@ def markdown(tuning: Tuning) -> str:
 
 def command_for_best(tuning: Tuning) -> str:
     """The line that trains the best trials again, into a sweep of its own."""
-    again = ("hydra.sweep.dir", "hydra.sweeper.trials", "hydra.sweeper.batch")
+    its_own = ("hydra.sweep.dir", *(f"hydra.sweeper.{n}" for n in ("trials", "batch", "objective")))
     began = [
         text
         for text in arguments_of(tuning.folder)
-        if not text.startswith(again) and text not in ("-m", "--multirun")
+        if text not in MULTIRUN and not is_among(text, its_own)
     ]
     of = override("hydra.sweeper.best_of", tuning.folder)
     return shell(*starting("train.py"), "-m", *began, of)
