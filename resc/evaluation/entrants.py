@@ -128,12 +128,11 @@ def _read_evaluation(folder: Path) -> list[Entrant]:
     """The entrants of an evaluation, or the one of a pilot's folder in it."""
     whole = folder if (folder / CONFIG).exists() else folder.parent
     summary = _finished(whole, "episodes" if "episodes" in summary_of(whole) else "pilots")
-    config = plain(load_config(whole / CONFIG))
     path = folder / FLIGHTS_TABLE
     flights = _table(path)
     pilots = flights["pilot"].unique(maintain_order=True).to_list() if "pilot" in flights else [""]
     told = (str(summary.get("policy", "unknown")), str(summary.get("git_commit", "unknown")))
-    rules, entrants = _rules_of(config), []
+    rules, entrants = _rules_of(whole / CONFIG), []
     for pilot in pilots:
         own = flights.filter(pilot=pilot) if pilot else flights
         place = folder / pilot
@@ -145,11 +144,11 @@ def _read_run(folder: Path) -> Entrant:
     summary = _finished(folder, "success_rate")
     if not is_evaluated(summary):
         raise ConfigError(f"{folder / SUMMARY} is of no finished run; train it to its end first.")
-    config = plain(load_config(folder / CONFIG))
-    own = config.get("held_out") or {}
-    rules = {**_compared({**config, **own}), "seed": config.get("evaluation_seed")}
+    path, table = folder / CONFIG, folder / EPISODES
+    stored = load_config(path)
+    rules = {**_compared(path, over="held_out"), "seed": stored.get("evaluation_seed")}
     told = ("policy.pt in its folder", str(summary.get("git_commit", "unknown")))
-    flights = _of_run(_table(folder / EPISODES), config, folder / EPISODES)
+    flights = _of_run(_table(table), table, dt_s=float(stored["env"]["dt_s"]))
     return Entrant(str(folder), folder, True, flights, rules, told)
 
 
@@ -164,28 +163,36 @@ def _finished(folder: Path, known: str) -> dict[str, Any]:
     return summary
 
 
-def _rules_of(config: Mapping[str, Any]) -> dict[str, Any]:
-    """What an evaluation was flown under.
+def _rules_of(path: Path) -> dict[str, Any]:
+    """What an evaluation was flown under, by its configuration.
 
     Its own groups, and those of the policy's where the folder of the policy is still there.
     """
-    own = {**_compared(config), "limits": config.get("limits"), "seed": config.get("seed")}
-    stored = Path(str(config.get("policy"))) / CONFIG
-    owned = {group.name for group in GROUPS if group.owner == "policy"} & own.keys()
-    trained = _compared(plain(load_config(stored))) if stored.is_file() else {}
-    for name in owned:
+    stored = load_config(path)
+    own = _compared(path) | {name: plain(stored.get(name)) for name in ("limits", "seed")}
+    policy = Path(str(stored.get("policy"))) / CONFIG
+    trained = _compared(policy) if policy.is_file() else {}
+    for group in GROUPS:
+        name = group.name
+        if not (group.compared and group.owner == "policy"):
+            continue
         if name == "env":
             own[name] = {**(trained.get(name) or {}), **(own[name] or {})}
         elif own[name] is None and name in trained:
             own[name] = trained[name]
         elif own[name] is None:
-            del own[name]
+            del own[name]  # not known
     return own
 
 
-def _compared(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The groups that say what an episode is, without what of `env` only the policy sees."""
-    found = {group.name: config.get(group.name) for group in GROUPS if group.compared}
+def _compared(path: Path, over: str = "") -> dict[str, Any]:
+    """The groups of a configuration that say what an episode is.
+
+    Of `env` without what only the policy sees; those in the setting `over` come first.
+    """
+    stored = plain(load_config(path))
+    stored |= stored.get(over) or {}
+    found = {group.name: stored.get(group.name) for group in GROUPS if group.compared}
     env = found["env"] or {}
     return {**found, "env": {name: env[name] for name in env if name not in OWN_ENV}}
 
@@ -229,12 +236,12 @@ def _of_evaluation(table: pl.DataFrame, path: Path) -> pl.DataFrame:
     ).with_columns(pl.int_range(pl.len()).over("scene", "map").alias("start"))
 
 
-def _of_run(table: pl.DataFrame, config: Mapping[str, Any], path: Path) -> pl.DataFrame:
+def _of_run(table: pl.DataFrame, path: Path, *, dt_s: float) -> pl.DataFrame:
     """The held-out episodes of a training run: the scenes are its maps."""
     _require(
         table, path, "scene", "obstacles", "density", "outcome", "success", "collided", "time_s"
     )
-    steps = (pl.col("time_s") / config["env"]["dt_s"]).round().cast(pl.Int64)
+    steps = (pl.col("time_s") / dt_s).round().cast(pl.Int64)
     return table.select(
         pl.lit(HELD_OUT_SCENE).alias("scene"),
         pl.col("scene").cast(pl.Int64).alias("map"),
