@@ -147,7 +147,7 @@ class OptunaSweeper(Sweeper):
                 f"here {', '.join(tuned)} are tuned; use the command in its report."
             )
         assert self.config is not None
-        given = dict(map(split_override, fixed))
+        given: dict[str, Any] = dict(map(split_override, fixed))
         seed, scenes = (
             int(given.get(key, self.config[key])) + 1 for key in ("seed", "evaluation_seed")
         )

@@ -146,8 +146,10 @@ def _draw_pairs(axes: Axes, table: pl.DataFrame, scenes: Sequence[str], number: 
     axes.axhline(0, color=FRAME, linewidth=0.8, zorder=1)
     for place, scene in enumerate(scenes):
         own = (table["scene"] == scene).to_numpy()
-        look = {"color": _colour(place), "marker": MARKERS[place % len(MARKERS)]}
-        axes.scatter(ours[own], later[own], s=18, alpha=0.7, linewidths=0, **look)
+        marker, colour = MARKERS[place % len(MARKERS)], _colour(place)
+        axes.scatter(
+            ours[own], later[own], s=18, alpha=0.7, linewidths=0, color=colour, marker=marker
+        )
     far = 1.15 * max(0.1, float(np.nanmax(np.abs(later), initial=0.0)))
     alone = first & ~other, other & ~first
     cross = {"marker": "x", "s": 24, "color": COLLISION, "linewidths": 1.0, "clip_on": False}

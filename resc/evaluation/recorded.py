@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import polars as pl
@@ -61,7 +62,7 @@ class Recordings:
     def path(self, key: Key, steps: int) -> Float[np.ndarray, "t 2"]:
         """Where a recorded flight was, from its start to its finish [m]."""
         log, episode = self.places[key]
-        position: Tensor = log.episode(episode)[keys.POSITION_W]
+        position = cast(Tensor, log.episode(episode)[keys.POSITION_W])
         return position[:steps, :2].numpy()
 
     def layout(self, key: Key) -> Layout:
