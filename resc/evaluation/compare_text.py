@@ -17,12 +17,12 @@ DIFFERENCES, FLIGHTS = "differences.csv", "flights.csv"
 DIGITS = {"success": 1, "time": 3, "energy": 0, "clearance": 3}
 """Of differences."""
 SIDE_BY_SIDE = (
-    "scene", "", "flights", "success [%]", "time [s]", "energy [m^2/s^5]", "least clearance [m]",
-    "median clearance [m]",
+    "scene", "entrant", "flights", "success [%]", "time [s]", "energy [m^2/s^5]",
+    "least clearance [m]", "median clearance [m]",
 )  # fmt: skip
 AGAINST = (
-    "scene", "", "success [points]", "arrives alone", "McNemar p", "time [s]", "energy [m^2/s^5]",
-    "clearance [m]",
+    "scene", "entrant", "success [points]", "arrives alone", "McNemar p", "time [s]",
+    "energy [m^2/s^5]", "clearance [m]",
 )  # fmt: skip
 NOTE = """\
 All numbers are of the flights that all of them flew from the same start along the same route. Side
@@ -47,7 +47,7 @@ def write_text(
     first, *others = (entrant.name for entrant in entrants)
     parts = [
         f"# {_listed(others)} against {first}\n",
-        aligned([["", "folder", "policy", "commit"], *map(_facts, entrants)]),
+        aligned([["entrant", "folder", "policy", "commit"], *map(_facts, entrants)]),
         "\n".join(sentences(entrants, shared)) + "\n",
         f"## Side by side\n\n{side_by_side(entrants, shared)}",
         f"## Differences from {first}\n\n{against(entrants, contrasts)}",

@@ -14,7 +14,7 @@ from resc.evaluation.by_pilot import FLIGHTS_TABLE
 from resc.groups import GROUPS, OWN_ENV
 from resc.run_folder import CONFIG, EPISODES, SUMMARY, is_evaluated, summary_of
 from resc.scenes.layout import PARKED_M
-from resc.sweep_folder import difference, is_sweep, plain
+from resc.sweep_folder import difference, is_sweep, origin_of, plain
 
 KEYS = ("scene", "map", "start")
 """What a flight is of: the scene, its map, and which of the starts on that map."""
@@ -147,7 +147,7 @@ def _read_run(folder: Path) -> Entrant:
     path, table = folder / CONFIG, folder / EPISODES
     stored = load_config(path)
     rules = {**_compared(path, over="held_out"), "seed": stored.get("evaluation_seed")}
-    told = ("policy.pt in its folder", str(summary.get("git_commit", "unknown")))
+    told = ("its own", origin_of(folder).get("commit", "unknown"))
     flights = _of_run(_table(table), table, dt_s=float(stored["env"]["dt_s"]))
     return Entrant(str(folder), folder, True, flights, rules, told)
 
