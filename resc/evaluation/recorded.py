@@ -36,7 +36,7 @@ class Recordings:
 
     @cached_property
     def places(self) -> dict[Key, tuple[RolloutLog, int]]:
-        """Recording and episode of every flight whose scene was recorded."""
+        """Recording and episode of every flight that was recorded whole."""
         folders = (HELD_OUT,) if self.entrant.is_run else FOLDERS
         logs = [self._open(name) for name in folders]
         left = [(log, _episodes(log)) for log in logs if log is not None]
@@ -47,7 +47,8 @@ class Recordings:
                 own = episodes.head(len(lengths))
                 if own["length"].to_list() == lengths:
                     left[place] = (log, episodes.tail(-len(lengths)))
-                    found |= {key: (log, i) for key, i in zip(which, own["index"], strict=True)}
+                    whole = zip(which, own["index"], own["complete"], strict=True)
+                    found |= {key: (log, index) for key, index, complete in whole if complete}
                     break
         return found
 

@@ -154,7 +154,9 @@ def test_scene_is_that_of_the_flight_it_names(run):
 def test_flights_recorded_in_part_leave_a_sentence_in_place_of_scenes(evaluation, policy, tmp_path):
     config = evaluation("flights=1", "recorder=mcap", "recorder.every_n_batches=2")
     text = Evaluation(config, policy, {"corridor": SCENES["corridor"]}).fly(tmp_path)
-    assert text.splitlines()[-1].startswith("No (more) 3-D scenes: Of 1 of these 1 episodes")
+    assert text.splitlines()[-1].startswith(
+        "No (more) 3-D scenes: Some steps of 1 of these 1 episodes"
+    )
     assert (tmp_path / "summary.json").exists()
 
 
