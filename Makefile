@@ -12,7 +12,7 @@ EXTRAS := dev benchmark bound dataframes estimation examples export link maps op
 NODE_PACKAGES := @mcap/core@2.2.2 @mcap/support@1.1.0 protobufjs@8.8.1
 RERUN := rerun-sdk==0.41.0
 
-.PHONY: demo train reproduce test gpu readers check check-format check-lint check-types format lock clean help
+.PHONY: demo train reproduce baselines test gpu readers check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
 
 demo: $(STAMP) ## Fly the shipped policy through the default scene.
@@ -24,6 +24,15 @@ train: $(STAMP) ## Train a policy.
 reproduce: $(STAMP) ## Train the default policy anew and compare it with the stored runs.
 	$(PY) train.py name=reproduce $(ARGS)
 	$(PY) -m resc.evaluation.reproduction runs/latest_train
+
+baselines: $(STAMP) ## Fly the policy and the planners it is compared with, and renew docs/results/baselines.
+	for suite in paper forest field gaps; do \
+		$(PY) evaluate.py suite=$$suite maps=$$( [ $$suite = paper ] && echo null || echo 10 ) flights=$$( [ $$suite = paper ] && echo 8 || echo 1 ) \
+			'pilot=[policy,ego_planner,fast_planner,mpc,pursuit]' 'pilot.ego_planner.tracking=[perfect,controller]' \
+			'pilot.fast_planner.tracking=[perfect,controller]' recorder=none name=baselines_$$suite $(ARGS) || exit 1; \
+		mkdir -p docs/results/baselines/$$suite; \
+		cp runs/latest_evaluation/report.md runs/latest_evaluation/scenes.csv runs/latest_evaluation/together_*.png docs/results/baselines/$$suite/; \
+	done
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
 	$(PY) -m pytest -n auto --maxprocesses 4 --dist worksteal $(ARGS)

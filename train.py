@@ -6,6 +6,7 @@ python train.py obstacle_observation=none          swap a part
 python train.py init_from=latest reward.jerk.weight=0.1    the last run's policy, further
 python train.py resume=latest                      go on with the last run, or sweep
 python train.py --cfg job                          look, do not run
+torchrun --nproc-per-node=2 train.py               the same training in two processes
 """
 
 import sys
@@ -16,24 +17,15 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from resc import schema
+from resc import ranks, schema
 from resc.console import logged
 from resc.errors import ExitCode
-from resc.learning.beginning import first_weights, restore, resumed
+from resc.learning import beginning
 from resc.learning.progress import describe
 from resc.learning.training import train_and_save
 from resc.learning.training_run import TrainingRun
 from resc.process import prepare_process
-from resc.run_folder import (
-    CONFIG,
-    claimed,
-    finish_run,
-    is_finished,
-    link_latest,
-    put_aside,
-    succeeded,
-    summary_of,
-)
+from resc.run_folder import CONFIG, finish_run, link_latest, put_aside, succeeded
 from resc.settings import RESUMABLE, check_settings
 from resc.starting.launch import answering, launch, refuse_doubles
 from resc.starting.origin import note_origin
@@ -45,19 +37,19 @@ def main(config: DictConfig) -> None:
     """One training run in Hydra's run folder, or in that of the run it goes on with."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     overrides = HydraConfig.get().overrides.task
-    with answering(), claimed(folder, resumes=bool(config["resume"])):
+    with answering(), beginning.claimed_together(folder, resumes=bool(config["resume"])):
         refuse_doubles()
         check_settings(config, schema.TrainSchema)
         OmegaConf.resolve(config)
         if config["init_from"]:
-            config["init_from"] = str(first_weights(config["init_from"], folder))
+            config["init_from"] = str(beginning.first_weights(config["init_from"], folder))
         if config["resume"]:
             taken = {name: OmegaConf.select(config, name) for name in RESUMABLE}
-            config = resumed(folder, overrides, taken, config["resume"])
-            summary = summary_of(folder)
-            if is_finished(folder) and summary["frames"] >= config["total_frames"]:
-                print(f"{succeeded(summary)} already; a larger total_frames trains it further.")
+            config = beginning.resumed(folder, overrides, taken, config["resume"])
+            if told := beginning.trained_already(folder, config["total_frames"]):
+                print(told)
                 return
+        beginning.require_one_training(config, folder)
         run(TrainingRun(config, overrides), folder)
 
 
@@ -70,16 +62,19 @@ def run(training: TrainingRun, folder: Path) -> None:
     trainer = training.trainer()
     training.check_recorder(trainer)
     training.check_held_out(trainer.env.stages)
-    restore(trainer, folder, resumes=bool(config["resume"]), init_from=config["init_from"])
-    if is_finished(folder):
-        put_aside(folder)
+    resumes, init_from = bool(config["resume"]), config["init_from"]
+    beginning.restore(trainer, folder, resumes=resumes, init_from=init_from)
+    if not ranks.is_first():  # it writes, flies and speaks for all
+        train_and_save(trainer, training, folder, logger)
+        sys.exit(0 if trainer.frames >= config["total_frames"] else ExitCode.UNFINISHED)
+    put_aside(folder)
     OmegaConf.save(config, folder / CONFIG, resolve=True)
     note_origin(folder, training.overrides)
     link_latest(folder, "train")
     with logged(folder / "train.log"), closing(logger):
         print(describe(trainer.env.stages), flush=True)
         summary = train_and_save(trainer, training, folder, logger)
-        again = go_on(folder, config["allowed_targets"])
+        again = ranks.started_by(go_on(folder, config["allowed_targets"]))
         if trainer.frames < config["total_frames"]:
             print(f"Stopped after {trainer.frames} frames. Go on with: {again}", file=sys.stderr)
             sys.exit(ExitCode.UNFINISHED)

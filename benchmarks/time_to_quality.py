@@ -35,7 +35,7 @@ TIMES = "times.json"
 MAPS = ("suite=paper", "flights=5", "compile=false", "recorder=none", "scene_files=0")
 
 
-def train(folder: Path, every: int, began: float, overrides: Sequence[str]) -> None:
+def train(folder: Path, every: int, frames: int, began: float, overrides: Sequence[str]) -> None:
     """Trains, in a process of its own, and keeps snapshots in numbered folders."""
     from resc.learning.training import record_batch
     from resc.learning.training_run import TrainingRun
@@ -51,7 +51,7 @@ def train(folder: Path, every: int, began: float, overrides: Sequence[str]) -> N
         record_world(recorder, trainer.env.pool, 0)
         trainer.collector.keep_starts()
     kept_s, times = 0.0, []
-    while trainer.frames < config["total_frames"]:
+    while trainer.frames < min(frames, config["total_frames"]):
         trainer.iterate()
         record_batch(trainer, recorder)
         if trainer.collector.batches % every:
@@ -109,17 +109,18 @@ def first(count: int, reached: Callable[[int], bool], start: int = 0) -> int | N
     return next((number for number in range(start, count) if reached(number)), None)
 
 
-def measure(overrides: Sequence[str], every: int, ratio: float) -> list[str]:
+def measure(overrides: Sequence[str], every: int, frames: int, ratio: float) -> list[str]:
     """Trains once; time and frames until both qualities, as cells of the table."""
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        own = ["--train", str(folder), str(every), str(time.time())]
+        own = ["--train", str(folder), str(every), str(frames), str(time.time())]
         command = [sys.executable, __file__, *own, *overrides]
         subprocess.run(command, cwd=ROOT, check=True)
         times = json.loads((folder / TIMES).read_text())
         folders = [folder / str(number) for number in range(len(times))]
         arrives = first(len(times), held_out(folders))
-        fast = first(len(times), lambda n: ratio_of(folders[n]) <= ratio, arrives or 0)
+        count = len(times) if ratio else 0
+        fast = first(count, lambda n: ratio_of(folders[n]) <= ratio, arrives or 0)
     return [
         "not reached"
         if number is None
@@ -131,8 +132,8 @@ def measure(overrides: Sequence[str], every: int, ratio: float) -> list[str]:
 def main() -> None:
     """Trains all seeds and prints the table."""
     if sys.argv[1:2] == ["--train"]:
-        folder, every, began, *overrides = sys.argv[2:]
-        train(Path(folder), int(every), float(began), overrides)
+        folder, every, frames, began, *overrides = sys.argv[2:]
+        train(Path(folder), int(every), int(frames), float(began), overrides)
         return
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -140,7 +141,8 @@ def main() -> None:
     parser.add_argument("overrides", nargs="*", help="of train.py")
     parser.add_argument("--seeds", default="0,1,2")
     parser.add_argument("--every", type=int, default=16, help="batches between snapshots")
-    parser.add_argument("--ratio", type=float, help="time over bound that is asked for")
+    parser.add_argument("--frames", type=int, default=24_000_000, help="to end each training at")
+    parser.add_argument("--ratio", type=float, help="time over bound that is asked for; 0 asks not")
     args = parser.parse_args()
     ratio = ratio_of(SHIPPED) if args.ratio is None else args.ratio
     config = load(args.overrides)
@@ -149,7 +151,7 @@ def main() -> None:
     ).stdout.strip()
     rows = []
     for seed in args.seeds.split(","):
-        own = measure([*args.overrides, f"seed={seed}"], args.every, ratio)
+        own = measure([*args.overrides, f"seed={seed}"], args.every, args.frames, ratio)
         rows.append(f"| {seed} | {' | '.join(own)} |")
         print(rows[-1], file=sys.stderr, flush=True)
     what = " ".join(args.overrides) or "default"

@@ -3,6 +3,7 @@
 hydra-optuna-sweeper 1.3.0 wants optuna below 3.
 """
 
+import fcntl
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,13 +30,16 @@ from resc.sweeps.sweep import require_success
 
 UNTUNED = "untuned"
 """What the runs are named that are trained beside the best: without any choice of the trials."""
+ASKING = ".asking"
+"""Locked while trials are chosen."""
 
 
 class OptunaSweeper(Sweeper):
     """Chooses the next runs by what came of those before, with Optuna's TPE sampler.
 
     Maximises one number of the runs' summaries. The study is kept in the sweep's folder, so that an
-    interrupted one goes on. With `best_of`, the best trials of such a study are trained again.
+    interrupted one goes on, and several processes may tune it at a time. With `best_of`, the best
+    trials of such a study are trained again.
 
     Args:
         objective: The number in summary.json.
@@ -106,13 +110,12 @@ class OptunaSweeper(Sweeper):
         states = optuna.trial.TrialState
         begun = [t for t in study.trials if t.state == states.RUNNING]
         failed: list[Outcome] = []
+        elsewhere: list[Outcome] = []
         while begun or len(study.trials) < self.trials:
-            # Seeded by what is known, so that a study that goes on draws what it would have drawn.
-            study.sampler = optuna.samplers.TPESampler(seed=self.seed + len(study.trials))
-            count = min(self.batch, self.trials - len(study.trials))
             before = len(study.trials) - len(begun)
-            trials = begun or [study.ask(tuned) for _ in range(count)]
-            begun = []
+            trials, begun = begun or self._asked(study, tuned), []
+            if not trials:  # another process asked for the last
+                break
             jobs = [
                 self.launcher.job(t.number, [*fixed, *(f"{k}={v}" for k, v in t.params.items())])
                 for t in trials
@@ -120,16 +123,33 @@ class OptunaSweeper(Sweeper):
             total = max(self.trials, before + len(jobs))
             outcomes = self.launcher.run(jobs, before=before, total=total)
             for trial, outcome in zip(trials, outcomes, strict=True):
-                if outcome.status in ("stopped", "busy"):
+                if outcome.status == "busy":  # another process that tunes the study makes it
+                    elsewhere.append(outcome)
+                    continue
+                if outcome.status == "stopped":
                     require_success([outcome], folder)
                 value = self._value_of(outcome)
                 if math.isfinite(value):
                     study.set_user_attr("objective", self.objective)
-                    study.tell(trial.number, value)
+                    study.tell(trial.number, value, skip_if_finished=True)
                 else:
                     failed.append(outcome)
-                    study.tell(trial.number, state=states.FAIL)
-        self._conclude(study, failed)
+                    study.tell(trial.number, state=states.FAIL, skip_if_finished=True)
+        open_ones = [o for o in elsewhere if not o.job.finished]
+        self._conclude(study, [*failed, *open_ones])
+
+    def _asked(self, study: Any, tuned: Mapping[str, Any]) -> list[Any]:  # noqa: ANN401 - Optuna's
+        """The next trials, by one process at a time of those that tune the study.
+
+        Seeded by what is known, so that a study that goes on draws what it would have drawn, and no
+        two processes draw the same.
+        """
+        optuna = needed("optuna", "optuna")
+        with (self.launcher.folder / ASKING).open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            count = min(self.batch, self.trials - len(study.trials))
+            study.sampler = optuna.samplers.TPESampler(seed=self.seed + len(study.trials))
+            return [study.ask(tuned) for _ in range(count)]
 
     def _train_best(self, tuned: Mapping[str, Any], fixed: Sequence[str]) -> None:
         """Trains the best trials of another sweep, and what was not tuned, with several seeds.
@@ -209,7 +229,7 @@ class OptunaSweeper(Sweeper):
             )
         return math.nan if value is None else float(value)
 
-    def _conclude(self, study: Any, failed: Sequence[Outcome]) -> None:  # noqa: ANN401 - Optuna's
+    def _conclude(self, study: Any, unfinished: Sequence[Outcome]) -> None:  # noqa: ANN401 - Optuna's
         folder = self.launcher.folder
         done = [t for t in study.trials if t.value is not None]
         if done:
@@ -221,8 +241,8 @@ class OptunaSweeper(Sweeper):
             )
             print(f"Report: {write_report(folder)}")
             print(f"Train the best again: {command_for_best(read_tuning(folder))}")
-        if failed:
-            require_success(failed, folder)
+        if unfinished:
+            require_success(unfinished, folder)
 
 
 def _made(folder: Path) -> Path:

@@ -59,6 +59,10 @@ class SweepError(RescError):
     """A sweep that ended with runs that failed or are not finished."""
 
 
+class LostRankError(RescError):
+    """Another process of the same training that has ended or does not answer."""
+
+
 class UnfinishedError(SweepError):
     """A sweep that was asked to stop, and of which no run failed."""
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import torch
 
+from resc import ranks
 from resc.errors import ConfigError
 
 GIB = 2**30
@@ -24,6 +25,7 @@ def prepare_process(threads: int, device: str) -> None:
     if not 1 <= threads <= available:
         raise ConfigError(f"threads is {threads}; this machine offers 1 to {available}.")
     require_device(device)
+    ranks.take_card(device)
     torch.set_num_threads(threads)
 
 

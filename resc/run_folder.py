@@ -223,6 +223,8 @@ def near(path: Path) -> Path:
 
 def put_aside(folder: Path) -> None:
     """Moves the held-out flights of a finished run that trains on to `held_out_<its frames>`."""
+    if not is_finished(folder):
+        return
     aside = folder / f"{HELD_OUT}_{summary_of(folder)['frames']}"
     aside.mkdir(exist_ok=True)
     if (folder / HELD_OUT).exists():

@@ -1,12 +1,15 @@
 """Run-level settings and their types; every other number lives with the part it configures."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import OmegaConf
 
+from resc import ranks
 from resc.errors import ConfigError
 from resc.groups import BOUND, EVALUATE, EVERY, GROUPS, TRAIN
 from resc.run_folder import new_folder
@@ -205,9 +208,15 @@ def folder_name(name: object) -> str:
     return text
 
 
+@functools.cache
+def _one_folder(wanted: str) -> str:
+    """`new_folder` of the first rank, whose clock counts, for all of a training."""
+    return ranks.from_first(partial(new_folder, wanted))
+
+
 def register() -> None:
     """Makes what train.yaml, evaluate.yaml and the others refer to known to Hydra."""
-    OmegaConf.register_new_resolver("new_folder", new_folder, replace=True)
+    OmegaConf.register_new_resolver("new_folder", _one_folder, replace=True)
     OmegaConf.register_new_resolver("folder_name", folder_name, replace=True)
     store_types()
 

@@ -10,10 +10,11 @@ from numba.core.registry import CPUDispatcher
 import resc
 from resc.compile_kernels import compile_kernels
 
-ROOMS = ("resc.maps", "resc.planning", "resc.scenes")
+ROOMS = ("resc.baselines", "resc.maps", "resc.planning", "resc.scenes")
 """Which have kernels."""
-SELDOM = {"_cells_to_free", "_traced", "pull"}
-"""Small ones: where an end is inside an obstacle, and of an option of a search."""
+SELDOM = {"_cells_to_free", "_traced", "pull", "new_spans", "occupied_points"}
+"""Small ones: where an end is inside an obstacle, of an option of a search, of the second thoughts
+of EGO-Planner, and what no planner asks a voxel map for."""
 
 
 def kernels():

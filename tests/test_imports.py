@@ -5,10 +5,10 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"errors", "keys", "moved", "places"},
+    {"cuda_graph", "errors", "keys", "moved", "places"},
+    {"ranks"},
     {
         "console",
-        "cuda_graph",
         "math",
         "process",
         "quantities",
@@ -27,8 +27,8 @@ FLOORS = (
     {"planning", "policies", "recording"},
     {"setup", "flight_logs"},
     {"viewing", "flying", "door"},
-    {"learning", "evaluation", "log_command", "compile_kernels", "gym"},
-    {"studies", "deployment"},
+    {"baselines", "learning", "evaluation", "log_command", "gym"},
+    {"studies", "deployment", "compile_kernels"},
     {"sweeps"},
 )
 """From the ground up. Rooms of one floor do not know each other."""

@@ -1,6 +1,7 @@
 """Tuning: what cannot be tuned is refused before any trial; what came of trials is told."""
 
 import csv
+import fcntl
 import json
 import shlex
 
@@ -91,6 +92,27 @@ def test_objective_that_no_summary_has_is_told_after_the_first_trial(
     told = refusal("resume=swept", "hydra.sweeper.objective=episodes", "hydra.sweeper.trials=3")
     assert "tunes success_rate; leave it out, or start a new sweep" in told
     assert json.loads((tmp_path / "swept" / "1" / "job.json").read_text())["overrides"]
+
+
+@pytest.mark.slow
+def test_study_is_tuned_by_several_processes_at_a_time(start, tmp_path, capsys):
+    start(*TUNE, WEIGHT, "hydra.sweeper.trials=1")
+    storage = f"sqlite:///{tmp_path}/swept/optuna.db"
+    study = optuna.load_study(study_name="study", storage=storage)
+    asked = study.ask({"reward.progress.weight": optuna.distributions.FloatDistribution(0.5, 2.0)})
+    (tmp_path / "swept" / "1").mkdir()
+    with (tmp_path / "swept" / "1" / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # as the process has that makes this run
+        with pytest.raises(SystemExit) as raised:
+            start("resume=swept", "hydra.sweeper.trials=3")
+    assert raised.value.code == 3
+    told = capsys.readouterr()
+    assert "run 1 reward.progress.weight=" in told.out or "run 1: busy" in told.out
+    assert "Best of 2 is run" in told.out
+    assert "(busy: 1). Go on with:" in told.err
+    study.tell(asked.number, 0.25)  # and so it does
+    weights = [trial.params["reward.progress.weight"] for trial in study.trials]
+    assert len(set(weights)) == len(weights) == 3
 
 
 def test_damaged_study_is_told(start, refusal, tmp_path):

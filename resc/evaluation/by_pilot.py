@@ -1,7 +1,7 @@
 """One pilot on all courses of an evaluation, and what it leaves in a folder."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from resc.errors import RecordingError
 from resc.evaluation.courses import Course
 from resc.evaluation.panel import Flown
 from resc.evaluation.picture import draw_overview, draw_scene
+from resc.evaluation.planning_calls import Calls, failing, write_calls
 from resc.evaluation.references import Reference, References, crossings, digest
 from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import Rules
@@ -20,10 +21,11 @@ from resc.flying.pilot import Pilot
 from resc.planning.time_optimal import Limits
 
 ROLLOUTS, SCENES = "rollouts", "scenes"
-REPORT, SCENES_TABLE, FLIGHTS_TABLE, PICTURE = (
+REPORT, SCENES_TABLE, FLIGHTS_TABLE, CALLS_TABLE, PICTURE = (
     "report.md",
     "scenes.csv",
     "flights.csv",
+    "planning_calls.csv",
     "flights.png",
 )
 
@@ -50,6 +52,15 @@ class Contest:
         """What a course is flown under."""
         return self.rules[course.own_routes]
 
+    def of(self, pilot: Pilot) -> "Contest":
+        """The same as a pilot flies it, which may find its own way or bring parts of its own."""
+        courses, rules = self.courses, self.rules
+        if pilot.finds_its_way:
+            courses = [course.to_the_goal() for course in courses]
+        if pilot.parts:
+            rules = {own: replace(rule, replaced=pilot.parts) for own, rule in rules.items()}
+        return replace(self, courses=courses, rules=rules)
+
 
 @dataclass(frozen=True)
 class Result:
@@ -63,6 +74,9 @@ class Result:
         flying_s: What they took.
         text: The report.
         told: What to say of the 3-D scenes, nothing if there are none.
+        contest: What it flew.
+        flown: The flights of every scene, by its name.
+        calls: Of what planned in them.
     """
 
     pilot: Pilot
@@ -72,10 +86,14 @@ class Result:
     flying_s: float
     text: str
     told: str
+    contest: Contest
+    flown: Mapping[str, Flights]
+    calls: Calls
 
 
 def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Result:
     """Flies every course, and leaves tables, pictures and recordings in the folder."""
+    contest = contest.of(pilot)
     courses, limits = contest.courses, contest.limits
     flown = fly_courses(courses, pilot, contest.rules, folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +108,10 @@ def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Res
     table = join(tables)
     write_scenes(reports, folder / SCENES_TABLE)
     write_flights(table, folder / FLIGHTS_TABLE)
-    text = f"{markdown(reports, limits)}\n{failures(reports)}".rstrip() + "\n"
+    calls = {name: flights.calls for name, flights in flown.items()}
+    write_calls(calls, folder / CALLS_TABLE)
+    lost = "\n".join([failures(reports), failing(calls)]).strip()
+    text = f"{markdown(reports, limits)}\n{lost}".rstrip() + "\n"
     (folder / REPORT).write_text(f"# {title}\n\n{text}")
     return Result(
         pilot=pilot,
@@ -100,6 +121,9 @@ def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Res
         flying_s=sum({flights.wall_s for flights in flown.values()}),
         text=text,
         told=_write_scene_files(contest, folder),
+        contest=contest,
+        flown=flown,
+        calls=calls,
     )
 
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -98,7 +98,8 @@ class Evaluation:
     @cached_property
     def pilots(self) -> Sequence[Pilot]:
         """What flies."""
-        return self.given_pilots or [PolicyPilot(self.policy)]
+        given = self.given_pilots or [PolicyPilot(self.policy)]
+        return [variant for pilot in given for variant in pilot.variants()]
 
     @cached_property
     def fingerprint(self) -> str:
@@ -181,7 +182,9 @@ class Evaluation:
             raise ConfigError(f"scene_files is {self.config['scene_files']}; expected 0 or more.")
         _require_one_choice(self.overrides)
         for pilot in self.pilots:
-            pilot.check(self._rules[False].stages)
+            rules = self._rules[False]
+            own = replace(rules, replaced=pilot.parts) if pilot.parts else rules
+            pilot.check(own.stages)
 
     def contest(self) -> Contest:
         """What the pilots fly: everything checked, laid out and planned."""

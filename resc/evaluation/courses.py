@@ -52,6 +52,13 @@ class Course:
         steps = [np.diff(line, axis=0) for line in self.planned_m]
         return np.array([np.hypot(*step.T).sum() for step in steps])
 
+    def to_the_goal(self) -> "Course":
+        """The same for a pilot that finds its own way: the goal is its only control point."""
+        layout = self.layout
+        route = layout.route_w[:, -1:]
+        one = torch.ones_like(layout.route_length)
+        return replace(self, layout=replace(layout, route_w=route, route_length=one))
+
     @property
     def one_map(self) -> bool:
         """Whether all flights share their obstacles."""

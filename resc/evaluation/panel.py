@@ -106,7 +106,7 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
     (x, y) = layout.origin_w[first].tolist()
     width, height = extent_of(layout.size[first], flown.resolution_m).tolist()
     axes.imshow(
-        _distance(flown.course, first, flown.resolution_m),
+        distance_of(flown.course, first, flown.resolution_m),
         extent=(x, x + width, y, y + height),
         origin="lower",
         cmap=BACKGROUND,
@@ -194,7 +194,7 @@ def _dress(axes: Axes, panel: Panel) -> None:
         spine.set_color(FRAME)
 
 
-def _distance(course: Course, number: int, resolution_m: float) -> Float[np.ndarray, "h w"]:
+def distance_of(course: Course, number: int, resolution_m: float) -> Float[np.ndarray, "h w"]:
     """Distance field of one flight's map [m]."""
     of = slice(number, number + 1)
     layout = course.layout

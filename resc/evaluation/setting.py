@@ -1,7 +1,7 @@
 """The environment of an evaluation: the policy's vehicle and senses, the evaluation's rules."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -40,12 +40,14 @@ class Rules:
         trained: The policy's.
         own_routes: Whether the scenes bring their own routes.
         overrides: Of the command, which the recordings name.
+        replaced: Nodes by their groups that take the place of all others: what a pilot needs.
     """
 
     asked: Settings
     trained: Settings
     own_routes: bool
     overrides: Sequence[str] = ()
+    replaced: Settings = field(default_factory=dict)
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -62,7 +64,7 @@ class Rules:
         allowed = (*ALLOWED, *asked["allowed_targets"])
         judging = {n: node for n, node in asked["sensor"].items() if _judges(n, node, allowed)}
         settings["sensor"] = {**asked["sensor"], **(trained["sensor"] or {}), **judging}
-        return settings
+        return settings | dict(self.replaced)
 
     @cached_property
     def stages(self) -> Stages:

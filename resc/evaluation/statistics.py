@@ -32,7 +32,11 @@ class SceneReport:
 
     Times, lengths and energy are medians over the flights that arrived; a time that one of them has
     not counts as endless. Ratios are medians over those of them that have a reference.
-    Clearance, speed, acceleration and limits are over all flights, up to their finish.
+    Clearance, speed, acceleration and limits are over all flights, up to their finish; speed and
+    acceleration by their norms, and on the axis of the world where they are greatest.
+
+    Only pilots that plan trajectories have a planned energy, its median over the flights that
+    arrived, and an error of tracking: of each flight the root mean square, of these the greatest.
     """
 
     name: str
@@ -58,6 +62,10 @@ class SceneReport:
     top_speed_mps: float
     top_acceleration_mps2: float
     over_limit_share: float
+    top_axis_speed_mps: float = math.nan
+    top_axis_acceleration_mps2: float = math.nan
+    planned_energy_m2ps5: float = math.nan
+    tracking_error_m: float = math.nan
 
 
 def tabulate(
@@ -90,7 +98,19 @@ def tabulate(
         "spl": success_by_length(success, flown, (planned - arrival_m).clip(min=0)),
         "bound": np.array([math.nan if t is None else t.duration_s for t in fastest]),
         "smooth_energy": np.array([math.nan if t is None else t.energy_m2ps5 for t in smooth]),
+        **_on_axes(flights),
         **measured,
+    }
+
+
+def _on_axes(flights: Flights) -> dict[str, Float[np.ndarray, " n"]]:
+    """Greatest speed and mean acceleration of a step on one axis, up to the finish."""
+    velocity = flights.velocity_w.double().abs().amax(-1).numpy()
+    change = flights.velocity_w.double().diff(dim=0).abs().amax(-1).numpy() / flights.dt_s
+    counted, step = flights.counted.numpy(), np.arange(len(velocity))[:, None]
+    return {
+        "top_axis_speed": np.where(step <= counted, velocity, 0).max(0),
+        "top_axis_acceleration": np.where(step[1:] <= counted, change, 0).max(0, initial=0),
     }
 
 
@@ -178,6 +198,10 @@ def summarise(name: str, table: Columns, redrawn: int | None = None) -> SceneRep
         top_speed_mps=float(of("top_speed").max()),
         top_acceleration_mps2=float(of("top_acceleration").max()),
         over_limit_share=float(of("steps_over_limit").sum() / table["counted_steps"].sum()),
+        top_axis_speed_mps=float(of("top_axis_speed").max()),
+        top_axis_acceleration_mps2=float(of("top_axis_acceleration").max()),
+        planned_energy_m2ps5=median(of("planned_energy")[arrived]),
+        tracking_error_m=float(of("tracking_error").max()),
     )
 
 

@@ -18,20 +18,20 @@ ROWS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
     ("flights", lambda r: str(r.episodes)),
     ("success [%]", lambda r: _percent(r.success_rate)),
     ("  95 % interval", lambda r: f"{_percent(r.success_low)}-{_percent(r.success_high)}"),
-    ("SPL", lambda r: _number(r.spl, 3)),
+    ("SPL", lambda r: number(r.spl, 3)),
     ("collisions [%]", lambda r: _percent(r.collision_rate)),
     ("closer than {margin:g} m [%]", lambda r: _percent(r.close_rate)),
-    ("time to 0.5 m [s]", lambda r: _number(r.time_span_s, 2)),
-    ("time to 0.2 m [s]", lambda r: _number(r.time_within_fifth_s, 2)),
-    ("path flown [m]", lambda r: _number(r.path_length_m, 2)),
-    ("path planned [m]", lambda r: _number(r.planned_length_m, 2)),
-    ("energy to 0.5 m [m^2/s^5]", lambda r: _number(r.energy_m2ps5, 0)),
-    ("time / bound", lambda r: _number(r.time_over_bound, 2)),
-    ("energy / smooth reference", lambda r: _number(r.energy_over_smooth, 2)),
+    ("time to 0.5 m [s]", lambda r: number(r.time_span_s, 2)),
+    ("time to 0.2 m [s]", lambda r: number(r.time_within_fifth_s, 2)),
+    ("path flown [m]", lambda r: number(r.path_length_m, 2)),
+    ("path planned [m]", lambda r: number(r.planned_length_m, 2)),
+    ("energy to 0.5 m [m^2/s^5]", lambda r: number(r.energy_m2ps5, 0)),
+    ("time / bound", lambda r: number(r.time_over_bound, 2)),
+    ("energy / smooth reference", lambda r: number(r.energy_over_smooth, 2)),
     ("least clearance [m]", lambda r: _clearance(r.min_clearance_m)),
     ("  median flight [m]", lambda r: _clearance(r.median_clearance_m)),
-    ("top speed [m/s]", lambda r: _number(r.top_speed_mps, 2)),
-    ("top acceleration [m/s^2]", lambda r: _number(r.top_acceleration_mps2, 2)),
+    ("top speed [m/s]", lambda r: number(r.top_speed_mps, 2)),
+    ("top acceleration [m/s^2]", lambda r: number(r.top_acceleration_mps2, 2)),
     ("steps over a limit [%]", lambda r: _percent(r.over_limit_share)),
 )
 OF_MAPS: tuple[tuple[str, Callable[[SceneReport], str]], ...] = (
@@ -180,16 +180,17 @@ def _published(report: SceneReport, planner: str) -> str:
 
 
 def _percent(share: float) -> str:
-    return _number(100 * share, 1)
+    return number(100 * share, 1)
 
 
-def _number(value: float, digits: int) -> str:
+def number(value: float, digits: int) -> str:
+    """A finite number with so many digits behind the point, or a dash."""
     return f"{value:z.{digits}f}" if math.isfinite(value) else "-"
 
 
 def _clearance(value_m: float) -> str:
     """`-` where there is no obstacle: those of a scene without any are parked far away."""
-    return _number(value_m if value_m < PARKED_M / 2 else math.inf, 2)
+    return number(value_m if value_m < PARKED_M / 2 else math.inf, 2)
 
 
 def _joined(outcomes: Mapping[str, int]) -> str:

@@ -8,6 +8,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from resc import ranks
 from resc.envs.stages import StepOutput
 
 RENEWED = "scene_renewed"
@@ -46,12 +47,13 @@ class EpisodeStatistics:
         self.total = 0
         self._finished: list[TensorDict] = []
         self._ended: list[dict[str, Tensor]] = []  # since, still on the device
+        self._of_all: list[TensorDict] | None = None
         self.start_step = 0
 
     def begin_batch(self, start_step: int) -> None:
         """Forgets the episodes listed so far; `start_step` is the first step of the batch."""
         self._settle()
-        self._finished = []
+        self._finished, self._of_all = [], None
         self.start_step = start_step
 
     def step(
@@ -81,14 +83,27 @@ class EpisodeStatistics:
     def episodes(self) -> TensorDict | None:
         """The episodes that finished in this batch [e], for the recorder."""
         self._settle()
-        if not self._finished:
-            return None
-        # torch.cat is annotated for tensors alone; tensordict makes it take its own.
-        return torch.cat(self._finished)  # pyright: ignore[reportArgumentType, reportReturnType]
+        return _joined(self._finished)
+
+    def exchange(self) -> None:
+        """Counts what ended in this batch with the other processes of the training, too.
+
+        `rates`, `success_by_difficulty` and `complete` are then of all of them.
+        """
+        if ranks.count() == 1:
+            return
+        own = self.episodes()
+        every = ranks.gather(None if own is None else own.to_dict())
+        parts = {n: TensorDict(part) for n, part in enumerate(every) if part is not None}
+        self._of_all = [part.auto_batch_size_(1) for part in parts.values()]
+        for number, part in parts.items():
+            if number != ranks.rank():
+                levels = [cast(Tensor, part["difficulties", name]) for name in self.names]
+                self._count(part["outcome"], part["return_"], part["length"], levels)
 
     def complete(self) -> TensorDict | None:
         """As `episodes`, without those that were cut from outside, with their `success`."""
-        episodes = self.episodes()
+        episodes = self.episodes() if self._of_all is None else _joined(self._of_all)
         if episodes is None:
             return None
         codes = cast(Tensor, episodes["outcome"])
@@ -174,7 +189,6 @@ class EpisodeStatistics:
     def _finish(self, t: int, rows: Tensor, codes: Tensor) -> None:
         end = self.start_step + t
         lengths = self.lengths[rows]
-        self.total += len(rows)
         self._ended.append(
             {
                 "env_id": rows,
@@ -202,9 +216,26 @@ class EpisodeStatistics:
         self._ended = []
         count = len(columns["env_id"])
         flown_at = {name: columns.pop(name) for name in self.names}
-        levels = torch.stack([*flown_at.values()], -1) if flown_at else torch.zeros(count, 0)
-        rows = (columns[name].tolist() for name in ("outcome", "return_", "length"))
-        self.recent.extend(zip(*rows, map(tuple, levels.tolist()), strict=True))
+        outcome, returned, length = (columns[name] for name in ("outcome", "return_", "length"))
+        levels = self._count(outcome, returned, length, [*flown_at.values()])
         columns["difficulty"] = levels.mean(-1) if self.names else torch.ones(count)
         parts = columns | {"difficulties": TensorDict(flown_at, batch_size=[count])}
         self._finished.append(TensorDict(parts, batch_size=[count]))
+
+    def _count(
+        self, codes: Tensor, returns: Tensor, lengths: Tensor, difficulties: Sequence[Tensor]
+    ) -> Tensor:
+        """Adds episodes to those that rates look back on; returns their difficulties [e, names]."""
+        levels = torch.stack([*difficulties], -1) if difficulties else torch.zeros(len(codes), 0)
+        columns = (codes.tolist(), returns.tolist(), lengths.tolist(), map(tuple, levels.tolist()))
+        self.recent.extend(zip(*columns, strict=True))
+        self.total += len(codes)
+        return levels
+
+
+def _joined(parts: Sequence[TensorDict]) -> TensorDict | None:
+    """Episodes one after the other; None where there are none."""
+    if not parts:
+        return None
+    # torch.cat is annotated for tensors alone; tensordict makes it take its own.
+    return torch.cat([*parts])  # pyright: ignore[reportArgumentType, reportReturnType]

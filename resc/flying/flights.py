@@ -1,7 +1,7 @@
 """Closed-loop flights: every row of an environment flies exactly one episode."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from resc.envs.stages import Stages
 from resc.errors import ConfigError
 from resc.flying.flight_log import FlightLog
 from resc.flying.loop import flown
-from resc.flying.pilot import Pilot
+from resc.flying.pilot import Pilot, PlanningCall
 from resc.recording.rollouts import RecordedRun
 from resc.recording.writer import RolloutRecorder
 
@@ -27,7 +27,8 @@ class Flights:
     """What came of one episode per row; all on the CPU.
 
     `position_w` and `velocity_w` begin with the start, and stay at their last value once a flight
-    is over. `counted` is the number of steps up to the finish, over which the metrics run.
+    is over. `counted` is the number of steps up to the finish, over which the metrics run; with
+    them go the numbers that the pilot measures itself. `calls` are those of what plans for it.
     """
 
     outcomes: tuple[str, ...]
@@ -40,6 +41,7 @@ class Flights:
     position_w: Float[Tensor, "t n 3"]
     velocity_w: Float[Tensor, "t n 3"]
     wall_s: float
+    calls: Sequence[PlanningCall] = ()
 
     def __len__(self) -> int:
         return len(self.outcome)
@@ -82,7 +84,10 @@ class Flights:
         single = {name: getattr(self, name)[of] for name in columns}
         traces = {name: getattr(self, name)[:, of] for name in ("position_w", "velocity_w")}
         metrics = {name: values[of] for name, values in self.metrics.items()}
-        return replace(self, **single, **traces, metrics=metrics)
+        calls = [
+            c._replace(flight=c.flight - start) for c in self.calls if start <= c.flight < stop
+        ]
+        return replace(self, **single, **traces, metrics=metrics, calls=calls)
 
 
 @torch.no_grad()
@@ -139,7 +144,8 @@ def fly(
         steps=steps[:, 0].cpu(),
         counted=counted[:, 0].cpu(),
         dt_s=dt_s,
-        metrics=metrics,
+        metrics={**metrics, **pilot.measured()},
+        calls=pilot.calls(),
         position_w=position,
         velocity_w=velocity,
         wall_s=time.perf_counter() - began,

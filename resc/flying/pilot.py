@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxtyping import Float
 from tensordict import TensorDictBase
@@ -18,14 +18,36 @@ from resc.recording.rollouts import digest
 from resc.schema import folder_name
 
 
+class PlanningCall(NamedTuple):
+    """A call of what plans for a pilot in flight.
+
+    Args:
+        flight: Row of the batch.
+        time_s: When, on the clock of the flight.
+        took_s: What it took on the clock of the computer.
+        failed: The stage that failed and why; empty if none did.
+    """
+
+    flight: int
+    time_s: float
+    took_s: float
+    failed: str
+
+
 class Pilot(ABC):
     """Something that flies: from the world and the observation of every step to its actions.
 
     Flights are rows of a batch. A pilot treats each row for itself, and may keep a state of its own
     for each of them, which `begin` resets. `name` is that of its configuration.
+
+    One that `finds_its_way` is asked for the goal alone, not for the control points of a route.
+    `parts` are nodes of the configuration, by their groups, that take the place of the
+    environment's.
     """
 
     name: str = ""
+    finds_its_way: bool = False
+    parts: Mapping[str, Any] = {}
 
     def named(self, name: str) -> "Pilot":
         """Gives the pilot its configured name."""
@@ -59,6 +81,18 @@ class Pilot(ABC):
     def facts(self) -> Mapping[str, str]:
         """What says which pilot it is: the digest of its weights, its numbers."""
         return {}
+
+    def variants(self) -> Sequence["Pilot"]:
+        """The pilots that an evaluation flies in its place."""
+        return [self]
+
+    def measured(self) -> Mapping[str, Float[Tensor, " n"]]:
+        """Numbers of its own of every flight since it began, up to their finish."""
+        return {}
+
+    def calls(self) -> Sequence[PlanningCall]:
+        """The calls of what plans for it since it began."""
+        return []
 
 
 def build_pilots(group: Mapping[str, Any], allowed: Sequence[str] = ()) -> list[Pilot]:

@@ -1,7 +1,5 @@
 """A pilot without learning: pure pursuit of the route, by a cascade of proportional controllers."""
 
-from typing import cast
-
 import torch
 from jaxtyping import Float, Int
 from tensordict import TensorDictBase
@@ -9,19 +7,13 @@ from torch import Tensor
 
 from resc import keys
 from resc.envs.stages import Stages, World
-from resc.errors import ConfigError
+from resc.flying.cascade import SMALL, Cascade, require_body_rates, unit
 from resc.flying.pilot import Pilot
 from resc.math.polyline import distances_along, nearest_along, points_along, turns
-from resc.math.rotation import body_z_w, heading, rotate_inverse
 from resc.quantities import NotNegative, Positive
-from resc.simulation.vehicle import GRAVITY_MPS2
-from resc.terms.actions.body_rate_thrust import BodyRateThrust
 
 SEARCHED_M = 1.0
 """The nearest point of the route is looked for so far ahead of the last one."""
-TURNED_M = 0.1
-"""To a point nearer than this the heading is not turned."""
-SMALL = 1e-6
 
 
 class Pursuit(Pilot):
@@ -30,11 +22,10 @@ class Pursuit(Pilot):
     A point `lookahead_m` further along the lines gives the direction of the velocity. The speed
     never exceeds `speed_mps` and is such that braking at `braking_mps2` is enough to stop at the
     goal, and to pass every control point on an arc that leaves it by `corner_m` at most, at
-    `turning_mps2`. The error of the velocity gives an acceleration, that a direction and a size of
-    the thrust, and the error of this direction and of the heading body rates:
+    `turning_mps2`. The error of the velocity gives an acceleration, and that body rates and
+    thrust (`resc.flying.cascade`):
 
-    a = k_v (v_wanted - v), |a| <= acceleration_mps2;  f = m (a + g e3);
-    omega = k_a angle(b_z, f) axis + k_y (heading error) b_z;  thrust = f . b_z.
+    a = k_v (v_wanted - v), |a| <= acceleration_mps2.
 
     It knows the nominal mass, and neither drag nor delays but for `delay_s`, by which it brakes
     earlier.
@@ -84,17 +75,14 @@ class Pursuit(Pilot):
 
     def check(self, stages: Stages) -> None:
         """Raises ConfigError if actions mean something else than body rates and thrust."""
-        if not isinstance(stages.terms.action, BodyRateThrust):
-            raise ConfigError(
-                f"pilot.{self.name} commands body rates and thrust, but action is "
-                f"{type(stages.terms.action).__name__}; set action=body_rate_thrust."
-            )
+        require_body_rates(stages, self.name)
 
     def begin(self, flights: int, stages: Stages, maps: World) -> None:
         """Takes the vehicle and the meaning of actions; the route begins where the flight does."""
         self.check(stages)
-        self.action = cast(BodyRateThrust, stages.terms.action)
-        self.mass_kg = stages.context.vehicle.mass_kg
+        self.cascade = Cascade.of(
+            stages, attitude_gain_1ps=self.attitude_gain_1ps, yaw_gain_1ps=self.yaw_gain_1ps
+        )
         self.start: Tensor | None = None
         self.flown = torch.zeros(flights, 1, device=maps[keys.ESDF].device)
 
@@ -106,11 +94,11 @@ class Pursuit(Pilot):
         at = distances_along(line)
         self.flown = self._progress(position, line, at, world[keys.ROUTE_INDEX])
         aim = points_along(line, at, self.flown + self.lookahead_m)[:, 0] - position
-        wanted = _unit(aim) * self._speed(line, at, velocity)
+        wanted = unit(aim) * self._speed(line, at, velocity)
         push = self.velocity_gain_1ps * (wanted - velocity)
         size = torch.linalg.vector_norm(push, dim=-1, keepdim=True)
         push = push * (self.acceleration_mps2 / size.clamp(min=SMALL)).clamp(max=1)
-        return self._command(push, aim, world[keys.ATTITUDE_WB])
+        return self.cascade.commanding(push, aim, world[keys.ATTITUDE_WB])
 
     def _progress(
         self,
@@ -142,26 +130,3 @@ class Pursuit(Pilot):
         square = square + 2 * self.braking_mps2 * (entered - reacted).clamp(min=0)
         square = torch.where(self.flown > left, torch.inf, square)
         return square.amin(-1, keepdim=True).sqrt().clamp(max=self.speed_mps)
-
-    def _command(
-        self,
-        push: Float[Tensor, "n 3"],
-        aim: Float[Tensor, "n 3"],
-        attitude: Float[Tensor, "n 4"],
-    ) -> Float[Tensor, "n 4"]:
-        """The action that accelerates by `push` [m/s^2] and turns to the heading of `aim` [m]."""
-        force = push + push.new_tensor([0.0, 0.0, GRAVITY_MPS2])
-        x, y, z = rotate_inverse(attitude, _unit(force)).unbind(-1)
-        across = torch.hypot(x, y)
-        tilt = torch.atan2(across, z) / across.clamp(min=SMALL)
-        c, s = heading(attitude).unbind(-1)
-        turn = torch.atan2(c * aim[:, 1] - s * aim[:, 0], c * aim[:, 0] + s * aim[:, 1])
-        turn = torch.where(torch.hypot(aim[:, 0], aim[:, 1]) > TURNED_M, turn, 0.0)
-        gain = self.attitude_gain_1ps
-        rates = torch.stack((-gain * tilt * y, gain * tilt * x, self.yaw_gain_1ps * turn), -1)
-        thrust = self.mass_kg * (force * body_z_w(attitude)).sum(-1, keepdim=True)
-        return self.action.commanding(rates, thrust)
-
-
-def _unit(vector: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-    return vector / torch.linalg.vector_norm(vector, dim=-1, keepdim=True).clamp(min=SMALL)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDict
@@ -25,7 +25,7 @@ class LearningContext:
         model: What networks are made of.
         observation_width: Numbers that the policy sees.
         action_width: Numbers that it gives.
-        num_envs: Environments flown at a time.
+        num_envs: Environments flown at a time; of a training in several processes, by this one.
         total_frames: Environment steps of the whole run, which schedules span.
         critic_width: Numbers that the value function sees beside the policy's.
         seed: Of weights, exploration and the order of samples.
@@ -63,6 +63,8 @@ class Algorithm(ABC):
         context: The run.
     """
 
+    parallel: ClassVar[bool] = False
+    """Whether several processes can train it together (`resc.ranks`), each on its own batch."""
     networks: nn.ModuleDict
     """Everything that has weights: `policy`, and whatever else the algorithm needs."""
 

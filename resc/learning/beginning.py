@@ -1,6 +1,7 @@
 """What a training run begins with: the run that it goes on with, or the weights of another."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast
@@ -8,6 +9,7 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
+from resc import ranks
 from resc.build import load_config
 from resc.errors import ConfigError
 from resc.learning.checkpoint import load_checkpoint
@@ -19,13 +21,48 @@ from resc.run_folder import (
     LATEST,
     ORIGIN,
     SUMMARY,
+    claimed,
+    is_finished,
     json_of,
+    succeeded,
     summary_of,
     sweep_of,
 )
 from resc.schema import TrainSchema
 from resc.settings import LATER, check_settings, fingerprint, honoured, listed
-from resc.sweep_folder import go_on, require_as_begun
+from resc.sweep_folder import difference, go_on, plain, require_as_begun
+
+
+@contextmanager
+def claimed_together(folder: Path, *, resumes: bool) -> Iterator[None]:
+    """`run_folder.claimed` by the first rank, for all of a training."""
+    with claimed(folder, resumes=resumes) if ranks.is_first() else nullcontext():
+        ranks.wait()
+        yield
+
+
+def require_one_training(settings: Any, folder: Path) -> None:  # noqa: ANN401 - a configuration
+    """Refuses ranks that would not train the same.
+
+    Raises:
+        ConfigError: It names the first setting that differs, and both values.
+    """
+    first, *others = ranks.gather({"hydra.run.dir": str(folder.resolve()), **plain(settings)})
+    for number, own in enumerate(others, 1):
+        if found := difference(first, own):
+            name, ours, theirs = found
+            raise ConfigError(
+                f"{name} is {ours} in process 0 of this training, but {theirs} in process "
+                f"{number}; start all of them with the same command and the same files."
+            )
+
+
+def trained_already(folder: Path, total_frames: int) -> str:
+    """What to say of a run that has nothing left to train; nothing where it has."""
+    summary = summary_of(folder)
+    if not is_finished(folder) or summary["frames"] < total_frames:
+        return ""
+    return f"{succeeded(summary)} already; a larger total_frames trains it further."
 
 
 def resumed(

@@ -5,8 +5,8 @@ modules and losses give the same numbers (tested) and cost milliseconds a miniba
 """
 
 import math
-from collections.abc import Callable
-from typing import Annotated, Any, Literal, cast
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, ClassVar, Literal, cast
 
 import torch
 from tensordict import TensorDict
@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torchrl.modules import set_recurrent_mode
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
+from resc import ranks
 from resc.errors import ConfigError, NumericalError
 from resc.learning.algorithm import Algorithm, LearningContext
 from resc.math.sampling import generator_for
@@ -25,18 +26,21 @@ from resc.quantities import Count, NotNegative, Number, Positive, Share, Within
 HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 Figures = tuple[Tensor, ...]
 """A total to minimise; then policy and value loss, entropy, divergence, share clipped."""
+Moments = tuple[Tensor, Tensor]
+"""Mean and standard deviation of the advantages of a minibatch []."""
 
 
 class Ppo(Algorithm):
     """PPO with a clipped ratio and generalised advantages (Schulman et al. 2017).
 
     A policy that remembers learns from whole sequences: a minibatch is then some environments over
-    all steps of the batch.
+    all steps of the batch. In several processes, each has its share of every minibatch, and all
+    take the step of the whole one.
 
     Args:
         context: The run.
         steps: Control steps per environment and batch.
-        minibatch: Samples per gradient step.
+        minibatch: Samples per gradient step, of all processes together.
         epochs: Passes over a batch.
         learning_rate: Of Adam, at the start.
         final_learning_rate: At the end.
@@ -56,6 +60,8 @@ class Ppo(Algorithm):
         schedule: Of the learning rate between the two: linear, or geometric (by the same factor
             after every batch).
     """
+
+    parallel: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -87,13 +93,15 @@ class Ppo(Algorithm):
         self.target_kl, self.schedule = target_kl, schedule
         self.init_from_std = init_from_std
         self._check()
+        self.minibatch = ranks.share(minibatch, "minibatch")
         self.networks = self._make_networks(initial_std).to(context.device)
         self._weights = [p for p in self.parameters if p.requires_grad]
         self.optimizer = torch.optim.Adam(self._weights, lr=learning_rate, eps=1e-5, fused=True)
-        self.noise = generator_for(context.seed, "exploration", context.device)
-        self.order = generator_for(context.seed, "minibatches", context.device)
+        seed = ranks.own_seed(context.seed)
+        self.noise = generator_for(seed, "exploration", context.device)
+        self.order = generator_for(seed, "minibatches", context.device)
         self._act: Callable[..., Figures] = self._act_eagerly
-        self._losses: Callable[[Any], Figures] = self._losses_of_samples
+        self._losses: Callable[..., Figures] = self._losses_of_samples
         if self.remembers:
             self._losses = self._losses_of_sequences
         elif context.compile:
@@ -148,8 +156,10 @@ class Ppo(Algorithm):
         count = 0
         for _ in range(self.epochs):
             order = torch.randperm(len(samples), generator=self.order, device=self.order.device)
-            for minibatch in samples[order[:whole]].split(size):
-                sums += self._gradient_step(minibatch)
+            chosen = samples[order[:whole]]
+            moments = self._shared_moments(chosen, size)
+            for minibatch, shared in zip(chosen.split(size), moments, strict=True):
+                sums += self._gradient_step(minibatch, shared)
                 count += 1
             if self.target_kl and float(sums[3] / count) > self.target_kl:
                 break
@@ -252,15 +262,28 @@ class Ppo(Algorithm):
         names += ["advantage", "value_target"]
         return batch.select(*names, strict=False).transpose(0, 1).contiguous()
 
-    def _gradient_step(self, minibatch: Tensor | TensorDict) -> Tensor:
-        loss, *figures = self._losses(minibatch)
+    def _shared_moments(self, chosen: Tensor | TensorDict, size: int) -> Sequence[Moments | None]:
+        """Moments of the advantages of each minibatch, over all ranks; None where there is one."""
+        count = len(chosen) // size
+        if ranks.count() == 1:
+            return [None] * count
+        column = chosen[:, -2] if isinstance(chosen, Tensor) else chosen["advantage"]
+        rows = column.reshape(count, -1)
+        mean, squares = ranks.moments(rows.double().T)
+        std = (squares / (rows.shape[1] * ranks.count() - 1)).sqrt()
+        return list(zip(mean.to(rows.dtype), std.to(rows.dtype), strict=True))
+
+    def _gradient_step(self, minibatch: Tensor | TensorDict, shared: Moments | None) -> Tensor:
+        loss, *figures = self._losses(minibatch, shared)
         loss.backward()
+        told = torch.stack([figure.detach() for figure in figures])
+        ranks.average_([*(p.grad for p in self._weights if p.grad is not None), told])
         nn.utils.clip_grad_norm_(self._weights, self.max_grad_norm, foreach=True)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
-        return torch.stack([figure.detach() for figure in figures])
+        return told
 
-    def _losses_of_samples(self, samples: Tensor) -> Figures:
+    def _losses_of_samples(self, samples: Tensor, shared: Moments | None = None) -> Figures:
         """Of `_samples`."""
         context = self.context
         seen, actions = context.observation_width, context.action_width
@@ -268,9 +291,9 @@ class Ppo(Algorithm):
         observation, action, before, advantage, target = samples.split(widths, -1)
         mean, std = self.policy.head(self.policy.network(observation[:, :seen]))
         value = self.networks["value"](observation)
-        return self._losses_from(mean, std, value, action, before, advantage, target)
+        return self._losses_from(mean, std, value, action, before, advantage, target, shared=shared)
 
-    def _losses_of_sequences(self, sequences: TensorDict) -> Figures:
+    def _losses_of_sequences(self, sequences: TensorDict, shared: Moments | None = None) -> Figures:
         """Of some of `_sequences`; gradients go back through all their steps."""
         with set_recurrent_mode(True):
             moments = self.policy[:-1](sequences.copy())
@@ -279,7 +302,9 @@ class Ppo(Algorithm):
         given = (moments["loc"], moments["scale"], value, sequences["action"])
         before = sequences["action_log_prob"].unsqueeze(-1)
         learned = before, sequences["advantage"], sequences["value_target"]
-        return self._losses_from(*(part.flatten(0, 1) for part in (*given, *learned)))
+        return self._losses_from(
+            *(part.flatten(0, 1) for part in (*given, *learned)), shared=shared
+        )
 
     def _losses_from(
         self,
@@ -290,18 +315,21 @@ class Ppo(Algorithm):
         before: Tensor,
         advantage: Tensor,
         target: Tensor,
+        *,
+        shared: Moments | None,
     ) -> Figures:
         """The sum to minimise; then policy and value loss, entropy, divergence, share clipped.
 
         What TorchRL's `ClipPPOLoss` computes (Schulman et al. 2017, eq. 7 and 9; advantages
-        normalised).
+        normalised, by their own moments unless told those of all ranks).
         """
         log_std = std.log()
         now = -(0.5 * ((action - mean) / std).square() + log_std + HALF_LOG_2_PI)
         change = now.sum(-1, keepdim=True) - before
         clip = math.log1p(-self.clip_epsilon), math.log1p(self.clip_epsilon)
         clipped = change.clamp(*clip)
-        advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=1e-6)
+        centre, spread = (advantage.mean(), advantage.std()) if shared is None else shared
+        advantage = (advantage - centre) / spread.clamp(min=1e-6)
         gain = torch.minimum(change.exp() * advantage, clipped.exp() * advantage)
         policy = -gain.mean()
         error = value - target
@@ -346,16 +374,17 @@ class Ppo(Algorithm):
             )
         if min(self.learning_rate, self.reward_scale, self.max_grad_norm) <= 0:
             raise ConfigError("learning_rate, reward_scale and max_grad_norm must be above zero.")
-        frames = self.steps * self.context.num_envs
-        if self.minibatch > frames:
+        envs = self.context.num_envs * ranks.count()
+        if self.minibatch > self.steps * envs:
             raise ConfigError(
                 f"minibatch is {self.minibatch}, more than a batch of {self.steps} steps x "
-                f"{self.context.num_envs} environments; lower it."
+                f"{envs} environments; lower it."
             )
-        if self.remembers and self.minibatch < self.steps:
+        if self.remembers and self.minibatch < self.steps * ranks.count():
+            each = f" in each of {ranks.count()} processes" if ranks.count() > 1 else ""
             raise ConfigError(
                 f"minibatch is {self.minibatch}, but a policy that remembers learns from whole "
-                f"sequences of {self.steps} steps; raise it."
+                f"sequences of {self.steps} steps{each}; raise it."
             )
 
 

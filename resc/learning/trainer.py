@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from tensordict import TensorDict
 
+from resc import ranks
 from resc.envs.quadrotor import QuadrotorEnv, require_untransformed
 from resc.errors import NumericalError
 from resc.flying.collector import Collector
@@ -69,8 +70,8 @@ class Trainer:
 
     @property
     def batch_frames(self) -> int:
-        """Environment steps per batch."""
-        return self.collector.frames
+        """Environment steps per batch, of all ranks."""
+        return self.collector.frames * ranks.count()
 
     def iterate(self) -> dict[str, float]:
         """Collects one batch and learns from it; returns the figures to log.
@@ -88,5 +89,6 @@ class Trainer:
                 "algorithm.reward_scale."
             ) from None
         self.algorithm.frames += self.batch_frames
+        self.statistics.exchange()
         self.curricula.advance(self.algorithm.share_trained, self.statistics.complete())
         return figures

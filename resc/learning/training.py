@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from resc.errors import CheckpointError, RecordingError, RescError
+from resc import ranks
+from resc.errors import CheckpointError, LostRankError, RecordingError, RescError
 from resc.learning.checkpoint import save_checkpoint
 from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
 from resc.learning.trainer import Trainer
@@ -29,6 +30,7 @@ from resc.recording.rollouts import (
 from resc.recording.schema import ROUTES
 from resc.recording.writer import RolloutRecorder
 from resc.run_folder import CHECKPOINT, PROGRESS, finish_run
+from resc.sweep_folder import go_on
 
 
 @dataclass
@@ -49,10 +51,11 @@ def stopping_at_batch_end() -> Iterator[Interruption]:
         interruption.requested, interruption.signal_number = True, number
         for caught, handler in previous.items():
             signal.signal(caught, handler)
-        tqdm.write(
-            "Stopping after this batch; the checkpoint will be saved. Interrupt again to stop at "
-            "once."
-        )
+        if ranks.is_first():
+            tqdm.write(
+                "Stopping after this batch; the checkpoint will be saved. Interrupt again to stop "
+                "at once."
+            )
 
     for number in previous:
         signal.signal(number, request)
@@ -85,13 +88,18 @@ def train_and_save(
             checkpoint_every_s=run.config["checkpoint_every_s"],
         )
     except Exception as error:
-        _keep_policy(trainer, save, folder, error)
+        if ranks.is_first():
+            _keep_policy(trainer, save, folder, error)
+        if isinstance(error, LostRankError):
+            again = ranks.started_by(go_on(folder, run.config["allowed_targets"]))
+            error.add_note(f"Go on from the last checkpoint with: {again}")
         raise
     finally:
         if recorder is not None:
             recorder.close()
-    save()
-    if table.rows:
+    if ranks.is_first():
+        save()
+    if ranks.is_first() and table.rows:
         draw_learning_curve(table.rows, folder / "learning_curve.png")
     own = speeds(trainer.frames - frames, trainer.trained_s - trained_s)
     summary = {
@@ -99,7 +107,8 @@ def train_and_save(
         "process": own,
         "made_with": trainer.made_with,
     }
-    finish_run(folder, summary, "train")
+    if ranks.is_first():
+        finish_run(folder, summary, "train")
     return summary
 
 
@@ -124,38 +133,43 @@ def train(
 ) -> bool:
     """Trains until `total_frames`; whether it got there.
 
-    Errors of the recorder leave a saved checkpoint behind.
+    Errors of the recorder leave a saved checkpoint behind. Of several ranks, one cannot save what
+    another had that was killed, so they save their first batch, too.
     """
     pool = trainer.env.pool
     saved_at = counted_to = time.monotonic()
+    saved_at -= checkpoint_every_s if ranks.count() > 1 else 0
+    ranks.copy_first(trainer.algorithm.networks)
     if recorder is not None:
         record_world(recorder, pool, trainer.collector.start_step)
         trainer.collector.keep_starts()
     bar = tqdm(
-        total=total_frames, initial=trainer.frames, unit="step", unit_scale=True, smoothing=0.05
+        total=total_frames,
+        initial=trainer.frames,
+        unit="step",
+        unit_scale=True,
+        smoothing=0.05,
+        disable=not ranks.is_first(),
     )
     with stopping_at_batch_end() as interruption, bar:
-        while trainer.frames < total_frames and not interruption.requested:
+        while trainer.frames < total_frames and not ranks.any_of(interruption.requested):
             began = time.monotonic()
             figures = trainer.iterate()
-            try:
-                record_batch(trainer, recorder)
-            except RecordingError as error:
-                _save_in_need(trainer, folder, error)
-                raise
+            _record_or_save(trainer, recorder, folder)
             curricula = trainer.curricula
             figures |= trainer.statistics.rates() | _reward_terms(trainer) | curricula.figures()
             figures |= trainer.statistics.success_by_difficulty(curricula.active)
             figures["speed/steps_per_s"] = trainer.batch_frames / (time.monotonic() - began)
             figures["episode/total"] = float(trainer.statistics.total)
-            logger.log(figures, trainer.frames)
-            table.add({"frames": float(trainer.frames), **figures})
+            if ranks.is_first():
+                logger.log(figures, trainer.frames)
+                table.add({"frames": float(trainer.frames), **figures})
             bar.set_postfix_str(_summary(figures), refresh=False)
             bar.update(trainer.batch_frames)
             now = time.monotonic()
             trainer.trained_s += now - counted_to
             counted_to = now
-            if now - saved_at > checkpoint_every_s:
+            if ranks.any_of(now - saved_at > checkpoint_every_s):
                 if recorder is not None:
                     recorder.flush()  # a resumed run records nothing from before its checkpoint
                 save_checkpoint(folder / CHECKPOINT, trainer)
@@ -178,12 +192,26 @@ def _keep_policy(
         error.add_note(f"The policy as it was after {trainer.frames} frames is in {folder}.")
 
 
-def _save_in_need(trainer: Trainer, folder: Path, error: RecordingError) -> None:
-    """Saves the checkpoint although the recorder failed; the disk may be full."""
+def _record_or_save(trainer: Trainer, recorder: RolloutRecorder | None, folder: Path) -> None:
+    """Records the batch; where a rank cannot, all save the checkpoint and end.
+
+    Raises:
+        RecordingError: The recorder failed; so may the checkpoint, as the disk may be full.
+        LostRankError: That of another rank did.
+    """
+    error = None
+    try:
+        record_batch(trainer, recorder)
+    except RecordingError as failure:
+        error = failure
+    if not ranks.any_of(error is not None):
+        return
+    error = error or LostRankError("Another process of this training cannot record.")
     try:
         save_checkpoint(folder / CHECKPOINT, trainer)
     except CheckpointError as failure:
         error.add_note(f"The previous checkpoint is kept: {failure}")
+    raise error
 
 
 def record_batch(trainer: Trainer, recorder: RolloutRecorder | None) -> None:
@@ -206,7 +234,7 @@ def record_batch(trainer: Trainer, recorder: RolloutRecorder | None) -> None:
 
 def _reward_terms(trainer: Trainer) -> dict[str, float]:
     """Mean weighted reward per step, by term."""
-    means = cast(Tensor, trainer.batch["reward_terms"]).mean((0, 1)).tolist()
+    means = ranks.mean(cast(Tensor, trainer.batch["reward_terms"]).mean((0, 1))).tolist()
     names = [term.name for term in trainer.env.stages.terms.rewards]
     return {f"reward/{name}": mean for name, mean in zip(names, means, strict=True)}
 

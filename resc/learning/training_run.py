@@ -10,6 +10,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from resc import ranks
 from resc.build import build, build_terms
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.envs.stages import Stages
@@ -19,10 +20,16 @@ from resc.flying.flights import Flights, fly_recorded, require_time_limit
 from resc.flying.held_out import tabulate_episodes, write_episodes
 from resc.flying.pilot import PolicyPilot
 from resc.learning.algorithm import Algorithm, LearningContext
-from resc.learning.progress import Logger
+from resc.learning.progress import CsvLogger, Logger
 from resc.learning.trainer import Trainer
 from resc.policies.networks import Model
 from resc.policies.stored import load_policy, require_same_layout, save_policy
+from resc.recording.rank_recorder import (
+    directory_of_rank,
+    facts_of_rank,
+    session_of_ranks,
+    shared,
+)
 from resc.recording.rollouts import RecordedRun, digest
 from resc.recording.writer import RolloutRecorder
 from resc.run_folder import CONFIG, EPISODES, HELD_OUT, ROLLOUTS
@@ -73,23 +80,28 @@ class TrainingRun:
         curricula = build_terms(
             config["curriculum"], "curriculum", Curriculum, config["allowed_targets"]
         )
-        setup = set_up(config, size=size, seed=config["seed"], curricula=curricula)
+        size, renewed = ranks.share(size, "pool_size"), ranks.share(renewed, "renew_scenes")
+        seed, num_envs = ranks.own_seed(config["seed"]), self.num_envs
+        setup = set_up(config, size=size, seed=seed, curricula=curricula)
         env = setup.env(
-            config["num_envs"],
-            compiled=config["compile"],
-            seed=config["seed"],
-            closed=CLOSED_BATCHES * renewed,
+            num_envs, compiled=config["compile"], seed=seed, closed=CLOSED_BATCHES * renewed
         )
         algorithm = self.algorithm(env.stages)
         trainer = Trainer(env, algorithm, renew_scenes=renewed, curricula=curricula)
         trainer.made_with = self.made_with
         return trainer
 
+    @property
+    def num_envs(self) -> int:
+        """Environments of this rank."""
+        return ranks.share(self.config["num_envs"], "num_envs")
+
     def algorithm(self, stages: Stages) -> Algorithm:
         """The algorithm with its networks, at the start.
 
         Raises:
-            ConfigError: A name or a number of `algorithm` or `model` is wrong.
+            ConfigError: A name or a number of `algorithm` or `model` is wrong, or several processes
+                cannot train it together.
         """
         config, allowed = self.config, self.config["allowed_targets"]
         context = LearningContext(
@@ -97,14 +109,20 @@ class TrainingRun:
             observation_width=len(stages.observation_columns),
             action_width=stages.terms.action.width,
             critic_width=stages.widths[1],
-            num_envs=config["num_envs"],
+            num_envs=self.num_envs,
             total_frames=config["total_frames"],
             seed=config["seed"],
             device=config["device"],
             compile=config["compile"],
         )
         node = config["algorithm"]
-        return build(node, "algorithm", allowed=allowed, kind=Algorithm, context=context)
+        algorithm = build(node, "algorithm", allowed=allowed, kind=Algorithm, context=context)
+        if ranks.count() > 1 and not algorithm.parallel:
+            raise ConfigError(
+                f"algorithm is {type(algorithm).__name__}, which one process trains; take "
+                "algorithm=ppo, or leave out torchrun."
+            )
+        return algorithm
 
     @property
     def recorded(self) -> RecordedRun:
@@ -122,12 +140,13 @@ class TrainingRun:
     def recorder(self, trainer: Trainer, folder: Path) -> RolloutRecorder | None:
         """The recorder of the training in a folder; None where recorder=none."""
         stages = trainer.env.stages
-        return self.recorded.open(
+        return replace(self.recorded, recorder=shared(self.config["recorder"])).open(
             stages,
-            directory=folder / ROLLOUTS,
+            directory=directory_of_rank(folder / ROLLOUTS),
             outcomes=(*stages.outcomes, RENEWED),
             num_envs=trainer.env.num_envs,
-            facts={"policy_sha256": digest(trainer.policy)},
+            facts={"policy_sha256": digest(trainer.policy), **facts_of_rank()},
+            session=session_of_ranks(),
         )
 
     def check_recorder(self, trainer: Trainer) -> None:
@@ -144,6 +163,8 @@ class TrainingRun:
     def logger(self, folder: Path) -> Logger:
         """What the figures of training go to."""
         allowed = self.config["allowed_targets"]
+        if not ranks.is_first():
+            return CsvLogger(folder=folder)
         return build(self.config["logger"], "logger", allowed=allowed, kind=Logger, folder=folder)
 
     def save_policy(self, folder: Path, algorithm: Algorithm, stages: Stages) -> None:

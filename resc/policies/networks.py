@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.modules import GRUModule
 
+from resc import ranks
 from resc.errors import ConfigError
 from resc.process import require_memory
 from resc.quantities import Within
@@ -63,11 +64,16 @@ class RunningNormalization(nn.Module):
 
     @torch.no_grad()
     def update(self, observation: Float[Tensor, "*n d"]) -> None:
-        """Adds a batch to the statistics, in place (Chan et al. 1979)."""
+        """Adds a batch, with those of all ranks, to the statistics, in place (Chan et al. 1979)."""
         batch = observation.flatten(0, -2).double()
-        variance, mean = torch.var_mean(batch, 0, correction=0)
-        total = self.count + len(batch)
-        share = len(batch) / total
+        samples = len(batch) * ranks.count()
+        if ranks.count() == 1:
+            variance, mean = torch.var_mean(batch, 0, correction=0)
+        else:
+            mean, squares = ranks.moments(batch)
+            variance = squares / samples
+        total = self.count + samples
+        share = samples / total
         step = mean - self.mean
         spread = self.variance * (1 - share) + variance * share + step**2 * share * (1 - share)
         self.variance.copy_(spread)

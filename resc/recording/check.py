@@ -128,7 +128,7 @@ def _check_steps(log: RolloutLog, done: Checked) -> None:
     table = log.episodes
     done.episodes = len(table)
     done.faults += _listing_faults(log)
-    last = {batch.source.path: i for i, batch in enumerate(log.batches)}
+    last = {source.path: i for i, b in enumerate(log.batches) for source in b.sources}
     returns = _Returns(log)
     with tqdm(
         total=log.num_steps * log.num_envs, unit="step", unit_scale=True, disable=None
@@ -138,8 +138,10 @@ def _check_steps(log: RolloutLog, done: Checked) -> None:
             with _noting(done):
                 arrays = read_environments(log.columns, [batch], 0, log.num_envs - 1)
                 done.faults += _value_faults(log.columns, batch, arrays)
-                whole = batch.steps == batch.recorded and batch.source.limit is None
-                growing = whole and not batch.source.complete and last[batch.source.path] == i
+                open_ones = [s for s in batch.sources if s.limit is None and not s.complete]
+                growing = batch.steps == batch.recorded and any(
+                    last[s.path] == i for s in open_ones
+                )
                 ends = table["end_step"].to_numpy()[spans["episode"]]
                 done.faults += _end_faults(log.columns, batch, arrays, spans, ends, growing)
                 returns.add(arrays, spans)

@@ -27,6 +27,11 @@ class Batch:
     start_step: int
     chunks: tuple[ChunkRef, ...]
 
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The files that hold it."""
+        return (self.source,)
+
     @cached_property
     def recorded(self) -> int:
         """Its length in the file, from the index."""

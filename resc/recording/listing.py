@@ -35,7 +35,8 @@ class Listing:
         found = self.spans["upper"] - self.spans["lower"]
         steps = np.bincount(self.spans["episode"], found, minlength=len(self._listed))
         complete = steps == self._listed["length"].to_numpy()
-        return self._listed.drop("run").with_columns(complete=pl.Series(complete, dtype=pl.Boolean))
+        listed = self._listed.drop("run", "first_env")
+        return listed.with_columns(complete=pl.Series(complete, dtype=pl.Boolean))
 
     @cached_property
     def runs(self) -> list[str]:
@@ -57,12 +58,14 @@ class Listing:
         return spans[np.argsort(spans["episode"], kind="stable")]
 
     def by_run(self, numbers: Sequence[int]) -> Iterator[tuple[list[Source], pl.DataFrame]]:
-        """Consecutive episodes of one run, with its files."""
+        """Consecutive episodes of one run and rank, with its files, as these number them."""
         for number in numbers:
             require_index(number, len(self.table), "episode", "episodes")
-        for run, group in groupby(numbers, lambda number: self.runs[number]):
-            sources = [source for source in self._sources if source.run == run]
-            yield sources, self.table[list(group)]
+        firsts = self._listed["first_env"].to_list()
+        for (run, first), group in groupby(numbers, lambda n: (self.runs[n], firsts[n])):
+            of_run = (source for source in self._sources if source.run == run)
+            sources = [source for source in of_run if source.first_env == first]
+            yield sources, self.table[list(group)].with_columns(pl.col("env_id") - first)
 
     def steps_of(
         self, numbers: Int[np.ndarray, " e"]
@@ -86,7 +89,7 @@ class Listing:
 
         `tables.STEP_COLUMNS`, one environment after the other; -1 where no episode is listed.
         """
-        found, num_envs = [self._batches[number] for number in numbers], self._num_envs
+        found, num_envs = [self._batches[number] for number in numbers], self.num_envs
         lengths = np.array([batch.steps for batch in found], np.int64)
         starts = np.array([batch.start_step for batch in found], np.int64)
         steps = np.repeat(starts, lengths) + ranges(lengths)
@@ -115,8 +118,10 @@ class Listing:
         return self._sources[0].specification.columns
 
     @property
-    def _num_envs(self) -> int:
-        return self._sources[0].specification.num_envs
+    def num_envs(self) -> int:
+        """Environments in every batch."""
+        own = self._sources[0].specification.num_envs
+        return own + max(source.first_env for source in self._sources)
 
 
 def require_index(index: int, count: int, what: str, plural: str) -> None:

@@ -6,6 +6,7 @@ from os.path import realpath
 from pathlib import Path
 
 from resc.errors import RecordingError
+from resc.recording.rank_files import FOLDERS, in_reading_order
 from resc.recording.segment import ACTIVE, PATTERN
 from resc.sweep_folder import is_sweep
 
@@ -30,7 +31,7 @@ def recordings_at(location: str | Path) -> list[Path]:
             f"No recording at {location}; give an .mcap file, a folder that holds {PATTERN} or a "
             f"run's folder '{FOLDER}', or a pattern."
         )
-    return sorted(found.values())
+    return sorted(found.values(), key=in_reading_order)
 
 
 def _of_sweep(sweep: Path) -> str:
@@ -51,7 +52,9 @@ def _recordings_in(path: Path) -> Iterator[Path]:
     if not path.is_dir():  # a device or a pipe may never end
         return
     for folder in (path, path / FOLDER):
-        found = [*folder.glob(PATTERN), *folder.glob(PATTERN + ACTIVE)]
+        places = (folder, *folder.glob(FOLDERS))
+        found = [file for place in places for file in place.glob(PATTERN)]
+        found += [file for place in places for file in place.glob(PATTERN + ACTIVE)]
         yield from found
         if found:
             return

@@ -10,6 +10,7 @@ from resc.recording.decode import Batch, batches
 from resc.recording.history import joined
 from resc.recording.indexing import open_sources
 from resc.recording.location import recordings_at
+from resc.recording.rank_files import numbered, of_all_ranks
 from resc.recording.source import Source
 from resc.recording.specification import Specification
 
@@ -29,10 +30,10 @@ def opened(location: str | Path) -> tuple[list[Source], list[Batch]]:
         )
     _require_one_shape(sources)
     with _one_of(paths):
-        sources = joined(sources)
+        sources = numbered(joined(sources))
         found = [batch for source in sources for batch in batches(source)]
     _require_no_step_twice(found)
-    return sources, found
+    return sources, of_all_ranks(found)
 
 
 def _require_one_shape(sources: Sequence[Source]) -> None:
@@ -45,12 +46,13 @@ def _require_one_shape(sources: Sequence[Source]) -> None:
 
 
 def _require_no_step_twice(found: Sequence[Batch]) -> None:
-    places: dict[tuple[str, int], Path] = {}
+    places: dict[tuple[str, int, int], Path] = {}
     for batch in found:
-        other = places.setdefault((batch.source.run, batch.start_step), batch.source.path)
-        if other != batch.source.path:
+        source = batch.source
+        other = places.setdefault((source.run, source.rank, batch.start_step), source.path)
+        if other != source.path:
             raise RecordingError(
-                f"{batch.source.path} and {other} hold the same steps; leave one of them out."
+                f"{source.path} and {other} hold the same steps; leave one of them out."
             )
 
 

@@ -33,7 +33,8 @@ class RolloutLog(Recorded):
 
     A file that was cut, or is still being written, is read up to its last complete batch; a later
     `RolloutLog` of the same path sees what has been added. Of a run that was interrupted and
-    resumed, what was recorded twice is read once: as the resumed run recorded it.
+    resumed, what was recorded twice is read once: as the resumed run recorded it. What several
+    processes of a training recorded is read as one run, their environments side by side.
     """
 
     def __init__(self, location: str | Path) -> None:
@@ -90,7 +91,7 @@ class RolloutLog(Recorded):
     @property
     def num_envs(self) -> int:
         """Environments in every batch."""
-        return self._specification.num_envs
+        return self.listing.num_envs
 
     @property
     def dt_s(self) -> float:
@@ -166,10 +167,13 @@ class RolloutLog(Recorded):
 
     @cached_property
     def worlds(self) -> "list[tuple[int, dict[str, torch.Tensor]]]":
-        """Scene arrays, each with the control step from which they were in use."""
+        """Scene arrays, each with the control step from which they were in use.
+
+        Of several processes, the first one's: each has scenes of its own, see `scenes`.
+        """
         from resc.recording.beginnings import worlds
 
-        return worlds(self._sources)
+        return worlds([source for source in self._sources if not source.first_env])
 
     @property
     def world(self) -> "dict[str, torch.Tensor]":

@@ -60,6 +60,7 @@ class RecordedRun:
         num_envs: int,
         outcomes: tuple[str, ...] | None = None,
         facts: Mapping[str, str] | None = None,
+        session: str = "",
     ) -> RolloutRecorder | None:
         """A recorder with metadata and configuration attached; None where nothing is recorded.
 
@@ -69,9 +70,11 @@ class RecordedRun:
             num_envs: Rows of every batch.
             outcomes: How an episode can end; as the stages say by default.
             facts: Of what flies, such as the digest of a policy.
+            session: As of `RolloutRecorder`.
         """
         if not self.recorder:
             return None
+        further: dict[str, Any] = {"session": session} if session else {}
         own = {"seed": str(self.seed), "device": self.device, "overrides": " ".join(self.overrides)}
         return build(
             self.recorder,
@@ -85,6 +88,7 @@ class RecordedRun:
             attachments={"config.yaml": self.config_yaml.encode()},
             outcomes=outcomes or stages.outcomes,
             topics=topics_of(stages),
+            **further,
         )
 
 

@@ -33,6 +33,7 @@ class Source:
     What it holds from step `limit` on, a later part of its `run` has taken the place of: nothing
     gives it. `copy` has the chunks where another program wrote the file, and `lacking` what that
     program left out, a sentence each. From byte `read_to` on nothing of the file could be read.
+    Among all that is read, its environments are counted from `first_env` on.
     """
 
     path: Path
@@ -48,6 +49,13 @@ class Source:
     limit: int | None = None
     lacking: tuple[str, ...] = ()
     read_to: int | None = None
+    first_env: int = 0
+
+    @property
+    def rank(self) -> int:
+        """Of the process that recorded it, where several trained together."""
+        text = self.metadata.get("rank", "")
+        return int(text) if text.isdecimal() else 0
 
     @property
     def first_step(self) -> int | None:

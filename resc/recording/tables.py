@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 STEP_COLUMNS = ("index", "env_id", "episode", "step")
 """What a row of a table of steps says about itself."""
+_OF = ("run", "first_env")
+"""What tells whose an episode is: its run, and the first environment of those recorded with it."""
 ROWS = 1_000_000
 """Rows of a piece of a table that is too large for the memory."""
 
@@ -32,15 +34,17 @@ def episode_table(sources: Sequence[Source], outcomes: Sequence[str]) -> pl.Data
     }
     known = dict.fromkeys([*outcomes, *names])
     of_file = np.repeat(np.arange(len(sources)), [len(messages) for messages in found])
+    fields["env_id"] += np.array([source.first_env for source in sources])[of_file]
     about = {
         "outcome": pl.Series(names, dtype=pl.Enum(list(known))),
         "seed": pl.Series([_seed(source) for source in sources], dtype=pl.Int64)[of_file],
         "run": pl.Series([source.run for source in sources], dtype=pl.String)[of_file],
+        "first_env": pl.Series([source.first_env for source in sources], dtype=pl.Int64)[of_file],
         "file": pl.Series([str(source.path) for source in sources], dtype=pl.String)[of_file],
     }
     order = ("env_id", "episode", "start_step", "end_step", "length", "return_", "difficulty")
     table = pl.DataFrame(fields | about).with_row_index().cast({"index": pl.Int64})
-    return table.select("index", *order, "success", "outcome", "scene", "seed", "file", "run")
+    return table.select("index", *order, "success", "outcome", "scene", "seed", "file", *_OF)
 
 
 def column_names(columns: Sequence[Column]) -> list[tuple[str, int, int]]:

@@ -68,6 +68,7 @@ class RolloutRecorder:
         attachments: Documents stored in every file, such as `config.yaml`.
         outcomes: Names of the integer codes in `outcome` of the episodes.
         topics: Topics that `further` of a batch may name.
+        session: Named by recorders that record one run side by side; drawn by default.
     """
 
     def __init__(
@@ -90,6 +91,7 @@ class RolloutRecorder:
         attachments: Mapping[str, bytes],
         outcomes: Sequence[str] = (),
         topics: Sequence[str] = (),
+        session: str = "",
     ) -> None:
         expected = f"1 to num_envs ({num_envs}), or null"
         require(envs is None or 1 <= envs <= num_envs, "envs", envs, expected)
@@ -101,7 +103,7 @@ class RolloutRecorder:
             outcomes=tuple(outcomes),
             round_bits=round_bits,
             every_n_batches=every_n_batches,
-            session=uuid.uuid4().hex,
+            session=session or uuid.uuid4().hex,
             earlier=sessions_in(Path(directory)),
         )
         texts = all(isinstance(value, str) for value in metadata.values())

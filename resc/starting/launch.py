@@ -21,6 +21,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from resc import ranks
 from resc.command_line import override, shell
 from resc.errors import ConfigError, ExitCode, RescError, UnfinishedError, nearest
 from resc.groups import names
@@ -60,11 +61,12 @@ def launch(main: Callable[[], None], config_name: str) -> None:
     )  # Hydra then raises instead of printing and exiting
     if not sys.warnoptions:  # ours raise; those of other packages would stand in the progress bar
         warnings.simplefilter("ignore")
-    with answering():
+    with _among_ranks(), answering():
         try:
             _refuse_foreign(sys.argv[1:])
             require_names(sys.argv[1:])
             sys.argv[1:] = resumed_sweep(in_its_folder(quoted_paths(sys.argv[1:])))
+            _refuse_ranks(config_name, sys.argv[1:])
             show_quietly()
             main()
         except (HydraException, OmegaConfBaseException) as error:
@@ -91,6 +93,32 @@ def launch_here(
             command(config, folder)()
 
     launch(run, config_name)
+
+
+@contextlib.contextmanager
+def _among_ranks() -> Iterator[None]:
+    """The processes that torchrun has started meet; the first one alone speaks on stdout."""
+    with answering():
+        ranks.join()
+    if not ranks.is_first():
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
+    try:
+        yield
+    finally:
+        ranks.leave()
+
+
+def _refuse_ranks(config_name: str, arguments: Sequence[str]) -> None:
+    """Refuses to do in several processes what is done in one."""
+    if ranks.count() == 1:
+        return
+    if config_name != "train":
+        raise ConfigError("torchrun starts the processes of a training; leave it out.")
+    if not set(arguments).isdisjoint(MULTIRUN):
+        raise ConfigError(
+            "torchrun starts the processes of one training, and a sweep starts a process for each "
+            "of its runs; leave out torchrun, or make the runs one after the other without -m."
+        )
 
 
 def _refuse_foreign(arguments: Sequence[str]) -> None:
@@ -158,10 +186,12 @@ def answering() -> Iterator[None]:
             told = f"{told.partition(chr(10))[0]} ({error.full_key})"
         if isinstance(error, OSError) and error.filename is not None:
             told = f"{error.filename} cannot be used ({error.strerror}); give another, or mend it."
-        print("\n".join([f"error: {told}", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        if ranks.may_say(error):
+            print("\n".join([f"error: {told}", *getattr(error, "__notes__", [])]), file=sys.stderr)
         sys.exit(ExitCode.UNFINISHED if isinstance(error, UnfinishedError) else ExitCode.ERROR)
     except KeyboardInterrupt as error:
-        print("\n".join(["Stopped.", *getattr(error, "__notes__", [])]), file=sys.stderr)
+        if ranks.is_first():
+            print("\n".join(["Stopped.", *getattr(error, "__notes__", [])]), file=sys.stderr)
         sys.exit(ExitCode.INTERRUPTED)
 
 

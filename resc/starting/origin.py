@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from resc import ranks
 from resc.command_line import shell, starting
 from resc.errors import ConfigError
 from resc.run_folder import CHECKPOINT, CONFIG, ORIGIN, git
@@ -115,7 +116,9 @@ def note_origin(folder: Path, overrides: Sequence[str]) -> None:
     """Writes down where a run is from, unless that was done before."""
     path = folder / ORIGIN
     if not path.exists():
-        path.write_text(json.dumps({**facts(), "overrides": list(overrides)}, indent=2) + "\n")
+        told = facts()
+        told["command"] = ranks.started_by(told["command"])
+        path.write_text(json.dumps({**told, "overrides": list(overrides)}, indent=2) + "\n")
 
 
 def facts() -> dict[str, str]:

@@ -98,7 +98,7 @@ class Slurm:
                     yield Outcome(job, "failed", f"SLURM job {task.job_id}: {reason}")
             if runner.stopping:
                 for task, job in waiting.items():
-                    yield Outcome(job, "busy", f"goes on as SLURM job {task.job_id}")
+                    yield Outcome(job, "stopped", f"goes on as SLURM job {task.job_id}")
                 return
             time.sleep(POLL_S)
 

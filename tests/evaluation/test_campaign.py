@@ -226,6 +226,7 @@ def test_table_of_two_pilots_has_a_row_for_each_and_every_scene(together):
     rows = [line.split("|")[1:3] for line in text.splitlines() if line.startswith("|")][2:]
     names = [(scene.strip(), pilot.strip()) for scene, pilot in rows]
     assert names == [(s, p) for s in (*SCENES, "all") for p in ("policy", "pursuit")]
+    assert (folder / "together_corridor.png").exists()
     assert text.split("\n\nreport")[0].strip() in (folder / "report.md").read_text()
 
 

@@ -1,0 +1,1 @@
+"""Planners that RESC is compared with, each a pilot."""
