@@ -18,14 +18,18 @@ from omegaconf import DictConfig, OmegaConf
 
 from hydra_plugins.resc_sweeps import SweepLauncher
 from resc.command_line import override
-from resc.errors import ConfigError, SweepError, nearest
+from resc.errors import ConfigError, SweepError, nearest, needed
 from resc.run_folder import SUMMARY, summary_of
+from resc.studies.study import split_override
+from resc.studies.tuning import write_report
+from resc.studies.tuning_study import best_trials, open_study, read_tuning
+from resc.studies.tuning_text import command_for_best, shown
 from resc.sweep_folder import go_on
 from resc.sweeps.jobs import Outcome
-from resc.sweeps.launchers import needed
 from resc.sweeps.sweep import require_success
 
-DATABASE = "optuna.db"
+UNTUNED = "untuned"
+"""What the runs are named that are trained beside the best: without any choice of the trials."""
 ASKING = ".asking"
 """Locked while trials are chosen."""
 
@@ -34,7 +38,8 @@ class OptunaSweeper(Sweeper):
     """Chooses the next runs by what came of those before, with Optuna's TPE sampler.
 
     Maximises one number of the runs' summaries. The study is kept in the sweep's folder, so that an
-    interrupted one goes on, and several processes may tune it at a time.
+    interrupted one goes on, and several processes may tune it at a time. With `best_of`, the best
+    trials of such a study are trained again.
 
     Args:
         objective: The number in summary.json.
@@ -43,11 +48,23 @@ class OptunaSweeper(Sweeper):
         seed: Of the sampler.
         params: What is tuned, as overrides: `interval(a, b)`, `tag(log, interval(a, b))` or
             choices.
+        best_of: Folder of a finished sweep whose best trials are trained instead of tuning.
+        best: How many of them.
+        seeds: With how many seeds, none of them that of the tuning.
     """
 
     def __init__(
-        self, objective: str, trials: int, batch: int, seed: int, params: Mapping[str, str]
+        self,
+        objective: str,
+        trials: int,
+        batch: int,
+        seed: int,
+        params: Mapping[str, str],
+        best_of: str | None,
+        best: int,
+        seeds: int,
     ) -> None:
+        self.best_of, self.best, self.seeds = best_of, best, seeds
         self.objective, self.trials, self.batch, self.seed = objective, trials, batch, seed
         self.params = params
 
@@ -62,6 +79,8 @@ class OptunaSweeper(Sweeper):
         _require_whole("trials", self.trials, 1)
         _require_whole("batch", self.batch, 1)
         _require_whole("seed", self.seed, 0)
+        _require_whole("best", self.best, 1)
+        _require_whole("seeds", self.seeds, 1)
         if not isinstance(self.params, Mapping):
             raise ConfigError(f"hydra.sweeper.params is {self.params!r}; expected key: interval.")
         self.config, self.loader = config, hydra_context.config_loader
@@ -76,10 +95,12 @@ class OptunaSweeper(Sweeper):
         """Runs the trials; raises SweepError at the end if one failed."""
         optuna = needed("optuna", "optuna")
         tuned, fixed = self._space(arguments)
-        folder = self.launcher.folder
-        folder.mkdir(parents=True, exist_ok=True)
+        if self.best_of is not None:
+            self._train_best(tuned, fixed)
+            return
+        folder = _made(self.launcher.folder)
         OmegaConf.save(self.config, folder / "multirun.yaml")
-        study = _open_study(folder)
+        study = open_study(folder, begin=True)
         told = study.user_attrs.get("objective", self.objective)
         if told != self.objective:
             raise ConfigError(
@@ -129,6 +150,42 @@ class OptunaSweeper(Sweeper):
             count = min(self.batch, self.trials - len(study.trials))
             study.sampler = optuna.samplers.TPESampler(seed=self.seed + len(study.trials))
             return [study.ask(tuned) for _ in range(count)]
+
+    def _train_best(self, tuned: Mapping[str, Any], fixed: Sequence[str]) -> None:
+        """Trains the best trials of another sweep, and what was not tuned, with several seeds.
+
+        Seeds and held-out scenes are others than those by which they were chosen.
+
+        Raises:
+            ConfigError: The sweep tuned something else, or holds no finished trial.
+        """
+        folder = Path(str(self.best_of)).resolve()
+        chosen = best_trials(folder, self.best)
+        if tuned.keys() != chosen[0].params.keys():
+            raise ConfigError(
+                f"hydra.sweeper.best_of={self.best_of} tuned {', '.join(chosen[0].params)}, but "
+                f"here {', '.join(tuned)} are tuned; use the command in its report."
+            )
+        assert self.config is not None
+        given: dict[str, Any] = dict(map(split_override, fixed))
+        seed, scenes = (
+            int(given.get(key, self.config[key])) + 1 for key in ("seed", "evaluation_seed")
+        )
+        own = ("seed", "evaluation_seed", "name")
+        rest = [text for text in fixed if split_override(text)[0] not in own]
+        variants = {UNTUNED: list[str]()} | {
+            f"trial_{trial.number}": [f"{k}={shown(v)}" for k, v in trial.params.items()]
+            for trial in chosen
+        }
+        OmegaConf.save(self.config, _made(self.launcher.folder) / "multirun.yaml")
+        self.launcher.launch(
+            [
+                [*rest, *params, f"name={name}", f"seed={s}", f"evaluation_seed={scenes}"]
+                for s in range(seed, seed + self.seeds)
+                for name, params in variants.items()
+            ],
+            initial_job_idx=0,
+        )
 
     def _space(self, arguments: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
         """What is tuned, by key, and the overrides that all trials share.
@@ -182,29 +239,16 @@ class OptunaSweeper(Sweeper):
             print(
                 f"Best of {len(done)} is run {best.number}, {self.objective} {best.value}: {chosen}"
             )
+            print(f"Report: {write_report(folder)}")
+            print(f"Train the best again: {command_for_best(read_tuning(folder))}")
         if unfinished:
             require_success(unfinished, folder)
 
 
-def _open_study(folder: Path) -> Any:  # noqa: ANN401 - Optuna's
-    """The study of a sweep's folder, new or as far as it has come."""
-    optuna = needed("optuna", "optuna")
-    sqlalchemy = needed("sqlalchemy", "optuna")
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    path = folder / DATABASE
-    storage = sqlalchemy.engine.URL.create("sqlite", database=str(path))
-    try:
-        return optuna.create_study(
-            storage=storage.render_as_string(),
-            study_name="study",
-            direction="maximize",
-            load_if_exists=True,
-        )
-    except (optuna.exceptions.OptunaError, sqlalchemy.exc.SQLAlchemyError) as error:
-        reason = str(error.__cause__ or error).strip().splitlines()[0]
-        raise ConfigError(
-            f"{path} cannot be read ({reason}); restore it and go on with: {go_on(folder)}"
-        ) from None
+def _made(folder: Path) -> Path:
+    """The folder, which is there now."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def _require_whole(name: str, value: Any, least: int) -> None:  # noqa: ANN401 - as configured

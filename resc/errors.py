@@ -1,8 +1,10 @@
 """The errors a user of RESC can meet; each message is one sentence of fact and one of help."""
 
 import difflib
+import importlib
 from collections.abc import Iterable
 from enum import IntEnum
+from typing import Any
 
 
 class ExitCode(IntEnum):
@@ -80,3 +82,18 @@ def shown(value: object, longest: int = 80) -> str:
     except ValueError:  # Python writes no integer of more than 4300 digits
         text = "a number of thousands of digits"
     return text if len(text) <= longest else f"{text[:longest]}..."
+
+
+def needed(module: str, extra: str) -> Any:  # noqa: ANN401 - a module
+    """An optional module.
+
+    Raises:
+        ConfigError: It is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise ConfigError(
+            f"This needs {module}, which is not installed; install it with: "
+            f"pip install -e '.[{extra}]'"
+        ) from None

@@ -113,6 +113,8 @@ GROUPS = (
 """All of them."""
 TASK = {"control_points": "task", "initial_state": "initial_state"}
 """The two terms of a task, and the fields of `Terms` that they fill."""
+OWN_ENV = ("layout", "history", "observation_frame")
+"""Entries of `env` that say what the policy sees, not what it flies."""
 DELTAS = ("experiment", "study", "ingredient", "simulator", "condition", "launcher", "hydra")
 """Folders of conf/ that are not groups: they change others, or say how runs are started."""
 

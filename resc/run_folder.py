@@ -215,6 +215,12 @@ def _answering(folder: Path) -> Iterator[None]:
         ) from None
 
 
+def near(path: Path) -> Path:
+    """The path as seen from the working directory, if that is shorter."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
+
+
 def put_aside(folder: Path) -> None:
     """Moves the held-out flights of a finished run that trains on to `held_out_<its frames>`."""
     if not is_finished(folder):

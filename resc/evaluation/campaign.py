@@ -34,7 +34,7 @@ from resc.flying.pilot import Pilot, PolicyPilot
 from resc.planning.route import planner_for
 from resc.planning.time_optimal import Limits
 from resc.policies.stored import StoredPolicy
-from resc.run_folder import POLICY, finish_run, provenance
+from resc.run_folder import POLICY, finish_run, near, provenance
 
 NO_MATTER = ("name", "threads", "policy", "pilot")
 """Settings by which no number of an evaluation changes; of the policy and the
@@ -85,7 +85,7 @@ class Evaluation:
             "wall_s": time.perf_counter() - began,
             "frames_per_s": frames / flying_s,
             **_summary(results),
-            "policy": str(_near(Path(self.config["policy"]).resolve())),
+            "policy": str(near(Path(self.config["policy"]).resolve())),
             "fingerprint": self.fingerprint,
             "seed": self.config["seed"],
             **provenance(),
@@ -250,10 +250,4 @@ def _left_in(folder: Path, results: Sequence[Result]) -> str:
         for result in results
         if result.told
     ]
-    return "\n".join([*(f"{label:<{width}}{_near(path)}" for label, path in lines), *told])
-
-
-def _near(path: Path) -> Path:
-    """The path as seen from the working directory, if that is shorter."""
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path
+    return "\n".join([*(f"{label:<{width}}{near(path)}" for label, path in lines), *told])

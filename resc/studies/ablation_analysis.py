@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from resc.errors import ConfigError, nearest
-from resc.studies.bootstrap import (
+from resc.math.bootstrap import (
     NOTHING,
     Estimate,
     estimate,

@@ -8,16 +8,16 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
+from resc.math.bootstrap import Estimate
 from resc.studies.ablation_analysis import Analysis, Result
-from resc.studies.bootstrap import Estimate
 from resc.studies.study import SUCCESS, Sweep
+from resc.viewing.colours import VARIANTS
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")
-"""Okabe and Ito's, told apart by colour-blind readers too; then again with other strokes."""
 STROKES = ("-", "--", ":")
+"""Of variants beyond the seventh, whose colours repeat."""
 MARKERS = ("o", "s", "^")
 DPI = 120
 POINTS = 200
@@ -40,9 +40,9 @@ def draw_figures(sweep: Sweep, analysis: Analysis, folder: Path) -> None:
     """Writes all pictures into a folder."""
     looks = {
         name: Look(
-            COLOURS[number % len(COLOURS)],
-            STROKES[number // len(COLOURS) % len(STROKES)],
-            MARKERS[number // len(COLOURS) % len(MARKERS)],
+            VARIANTS[number % len(VARIANTS)],
+            STROKES[number // len(VARIANTS) % len(STROKES)],
+            MARKERS[number // len(VARIANTS) % len(MARKERS)],
         )
         for number, name in enumerate(sweep.variants)
     }

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from resc.flying.held_out import COLUMNS
+from resc.math.bootstrap import DRAWS, Estimate
 from resc.studies.ablation_analysis import LEAST_ARRIVALS, Analysis, Result
 from resc.studies.ablation_figures import FIGURES
-from resc.studies.bootstrap import DRAWS, Estimate
 from resc.studies.study import Run, Sweep, differing
 
 NAME, VARIANTS, RUNS = "report.md", "variants.csv", "runs.csv"

@@ -16,10 +16,10 @@ from scipy.stats import t as student
 
 from resc.errors import ConfigError
 from resc.evaluation.table import aligned
-from resc.studies.ablation_figures import COLOURS, DPI, MARKERS
-from resc.studies.bootstrap import LEVEL, NOTHING, Estimate
+from resc.math.bootstrap import LEVEL, NOTHING, Estimate
+from resc.studies.ablation_figures import DPI, MARKERS
 from resc.studies.study import Run, Sweep
-from resc.viewing.colours import TEXT
+from resc.viewing.colours import TEXT, VARIANTS
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -162,7 +162,7 @@ def draw_scores(sweep: Sweep, scores: Sequence[Score], path: Path) -> None:
         axes.set_axis_off()
     variants = [v for v in sweep.variants if any(score.run.variant == v for score in scores)]
     looks = {
-        name: (COLOURS[n % len(COLOURS)], MARKERS[n // len(COLOURS) % len(MARKERS)])
+        name: (VARIANTS[n % len(VARIANTS)], MARKERS[n // len(VARIANTS) % len(MARKERS)])
         for n, name in enumerate(variants)
     }
     for axes, suite in zip(grid.flat, suites, strict=False):

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from resc.build import load_config
 from resc.errors import ConfigError
 from resc.flying.held_out import Episodes, read_episodes
-from resc.groups import names
+from resc.groups import OWN_ENV, names
 from resc.learning.training_run import TrainingRun
 from resc.run_folder import (
     CONFIG,
@@ -30,9 +30,7 @@ from resc.sweep_folder import begun_as, go_on, origin_of, require_as_begun
 PROGRESS = "progress.csv"
 TASK = names(lambda group: group.compared)
 """Groups that held-out flights must share to be compared."""
-OWN_ENV = ("layout", "history", "observation_frame")
-"""Entries of `env` that say what the policy sees, not what it flies."""
-SEED, BUDGET = "seed", "total_frames"
+NAME, SEED, BUDGET = "name", "seed", "total_frames"
 SUCCESS, SPEED = "outcome/success", "speed/steps_per_s"
 
 Columns = dict[str, Float[np.ndarray, " t"]]
@@ -129,12 +127,15 @@ def variant_names(runs: Sequence[Sequence[str]]) -> list[str]:
     """A name for what each run is beside its seed, from the overrides that differ.
 
     Of one part that is swapped, its value; of a list, what it lacks or adds to the first one's; of
-    a number, where it belongs, too: `progress.weight=2.0`.
+    a number, where it belongs, too: `progress.weight=2.0`. Runs that are given names of their own
+    are called by these.
     """
     own = [
         {key: value for key, value in map(split_override, run) if key != SEED}
         for run in differing(runs)
     ]
+    if all(NAME in run for run in own):
+        return [run[NAME] for run in own]
     shown = short_keys({key: None for run in own for key in run})
     names = []
     for run in own:

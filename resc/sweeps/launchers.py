@@ -1,13 +1,12 @@
 """Where the runs of a sweep go: to this machine, a SLURM cluster, a Ray cluster."""
 
-import importlib
 import os
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
-from resc.errors import ConfigError
+from resc.errors import ConfigError, needed
 from resc.quantities import Count, Positive, Within
 from resc.sweeps.jobs import Job, Outcome, Runner, run_alone
 
@@ -158,14 +157,3 @@ class Ray:
                         ray.cancel(task)
         finally:
             ray.shutdown()
-
-
-def needed(module: str, extra: str) -> Any:  # noqa: ANN401 - a module
-    """An optional module."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise ConfigError(
-            f"This launcher needs {module}, which is not installed; "
-            f"install it with: pip install -e '.[{extra}]'"
-        ) from None

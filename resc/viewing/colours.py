@@ -10,6 +10,8 @@ BOUND = "#0a8f7c"
 MOVER = "#6a4c93"
 TRUE, MEASURED, ESTIMATED, SMOOTHED = "#d7263d", "#0a8f7c", "#1f6fb2", "#b35c00"
 """Tracks of a flight: flown, read by motion capture, estimated in flight, smoothed afterwards."""
+VARIANTS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#555555")
+"""Okabe and Ito's: what is compared, told apart by colour-blind readers, too."""
 DASHES = (0, (4, 2.5))
 BACKGROUND = LinearSegmentedColormap.from_list("distance", ["#b4c0d2", "#fbfcfd"])
 """One hue from grey blue to nearly white: between colours this close sRGB is as good as uniform."""

@@ -12,7 +12,11 @@ from omegaconf import OmegaConf
 
 from resc.errors import CheckpointError, ConfigError
 from resc.evaluation.campaign import Evaluation
+from resc.evaluation.compare import write_comparison
 from resc.evaluation.courses import drawn
+from resc.evaluation.entrants import read_entrants
+from resc.evaluation.paired import share
+from resc.evaluation.recorded import Recordings
 from resc.evaluation.references import Reference, crossings, keep, limits_of
 from resc.evaluation.suites import Amount
 from resc.flying.pilot import Pilot, PolicyPilot
@@ -150,7 +154,9 @@ def test_scene_is_that_of_the_flight_it_names(run):
 def test_flights_recorded_in_part_leave_a_sentence_in_place_of_scenes(evaluation, policy, tmp_path):
     config = evaluation("flights=1", "recorder=mcap", "recorder.every_n_batches=2")
     text = Evaluation(config, policy, {"corridor": SCENES["corridor"]}).fly(tmp_path)
-    assert text.splitlines()[-1].startswith("No (more) 3-D scenes: Of 1 of these 1 episodes")
+    assert text.splitlines()[-1].startswith(
+        "No (more) 3-D scenes: Some steps of 1 of these 1 episodes"
+    )
     assert (tmp_path / "summary.json").exists()
 
 
@@ -250,6 +256,22 @@ def test_every_pilot_has_its_pictures(together):
     folder, _ = together
     for name in ("policy", "pursuit"):
         assert (folder / name / "flight_corridor.png").exists()
+
+
+def test_two_pilots_are_compared_and_their_paths_drawn_over_one_another(together, tmp_path):
+    folder, _ = together
+    entrants = read_entrants([folder])
+    shared = share(entrants)
+    text = write_comparison(entrants, shared, tmp_path / "out")
+    assert text.startswith("# pursuit against policy\n")
+    assert "4 flights are compared." in text
+    assert "left out" not in text
+    for scene in SCENES:
+        assert plt.imread(tmp_path / "out" / f"paths_{scene}.png").shape[1] > 600
+    recordings = Recordings(entrants[1])
+    for key, first in zip(recordings.places, shared.table["counted/1"], strict=True):
+        start = recordings.layout(key).start_w[0, :2].numpy()
+        assert np.abs(recordings.path(key, first)[0] - start).max() < 0.2
 
 
 def test_pilot_that_cannot_fly_is_refused_before_anything_is_planned(evaluation, policy, tmp_path):

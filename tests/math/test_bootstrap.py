@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from resc.studies.bootstrap import (
+from resc.math.bootstrap import (
     NOTHING,
     Estimate,
     estimate,
