@@ -18,9 +18,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc import schema
 from resc.console import logged
+from resc.envs.terms_table import describe
 from resc.errors import ExitCode
 from resc.learning.beginning import first_weights, restore, resumed
-from resc.learning.progress import describe
 from resc.learning.training import train_and_save
 from resc.learning.training_run import TrainingRun
 from resc.process import prepare_process

@@ -1,20 +1,17 @@
-"""What a run shows and leaves: table of terms, progress bar, progress.csv, learning curve."""
+"""What a run shows and leaves: progress bar, progress.csv, learning curve."""
 
 import csv
-import re
 from collections.abc import Mapping
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
 from statistics import mean
-from textwrap import shorten
 from typing import Any, Protocol, runtime_checkable
 
 import matplotlib as mpl
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 
-from resc.envs.stages import Stages
 from resc.errors import ConfigError
 
 mpl.use("Agg")
@@ -22,9 +19,6 @@ from matplotlib import pyplot as plt
 
 STYLES = ("solid", "dashed", "dotted")
 """Of the lines of several difficulties."""
-ABBREVIATIONS = ("eq", "eqs", "fig", "e.g", "i.e", "cf", "vs", "approx", "ref", "sec")
-"""Before a full stop that ends no sentence."""
-LONGEST_SENTENCE = 100
 _BESIDE: dict[str, Any] = {
     "loc": "center left",
     "bbox_to_anchor": (1.0, 0.5),
@@ -143,35 +137,6 @@ def _read_rows(path: Path) -> list[dict[str, float]]:
         ) from None
 
 
-def describe(stages: Stages) -> str:
-    """Table of active terms: what is observed, rewarded and ended, weights, widths, units."""
-    lines = ["observation            columns"]
-    first = 0
-    for term in stages.terms.observations:
-        steps = f" x {term.history} steps" if term.width > len(term.columns) else ""
-        columns = f"{', '.join(term.columns)}{steps}"
-        lines.append(f"  {term.name:<20} {first:>3}-{first + term.width - 1:<3} {columns}")
-        first += term.width
-    lines.append("reward                 weight")
-    for term in stages.terms.rewards:
-        lines.append(f"  {term.name:<20} {term.weight:>7g} {_first_sentence(term)}")
-    lines.append("termination")
-    for term in stages.terms.terminations:
-        kind = "success" if term.success else "truncates" if term.truncates else "failure"
-        lines.append(f"  {term.name:<20} {kind:<9} {_first_sentence(term)}")
-    if stages.terms.randomizations:
-        lines.append("randomization")
-        lines += [
-            f"  {term.name:<20} {_first_sentence(term)}" for term in stages.terms.randomizations
-        ]
-    if stages.eased:
-        lines.append("difficulty             eases")
-    for name in stages.difficulties:
-        paths = [path for path, eased_by in stages.eased.items() if eased_by == name]
-        lines.append(f"  {name:<20} {', '.join(paths)}")
-    return "\n".join(lines)
-
-
 def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
     """Outcomes, return and reward terms against frames, as one picture.
 
@@ -248,12 +213,3 @@ def _add_legend(axes: Axes, **options: Any) -> None:  # noqa: ANN401 - matplotli
     """A legend, where there is something to name."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(**options)
-
-
-def _first_sentence(term: object) -> str:
-    """The first sentence of a term's docstring."""
-    text = " ".join((type(term).__doc__ or "").split())
-    text = re.sub(r" \(facts [\d., ab]+\)", "", text)  # sections of the sheet of public facts
-    ends = [found.start() for found in re.finditer(r"\.(?= |$)", text)]
-    ends = [end for end in ends if not text[:end].lower().endswith(ABBREVIATIONS)]
-    return shorten(text[: ends[0]] if ends else text, LONGEST_SENTENCE, placeholder=" ...")
