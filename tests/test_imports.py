@@ -29,6 +29,7 @@ FLOORS = (
     {"viewing", "flying", "door"},
     {"learning", "evaluation", "log_command", "compile_kernels", "gym"},
     {"studies", "deployment"},
+    {"pages"},
     {"sweeps"},
 )
 """From the ground up. Rooms of one floor do not know each other."""

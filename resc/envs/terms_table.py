@@ -1,9 +1,12 @@
 """The table of active terms: what is observed, rewarded and ended, and what each term says."""
 
+import json
 import re
+from pathlib import Path
 from textwrap import shorten
 
 from resc.envs.stages import Stages
+from resc.run_folder import TERMS, replacing
 
 ABBREVIATIONS = ("eq", "eqs", "fig", "e.g", "i.e", "cf", "vs", "approx", "ref", "sec")
 """Before a full stop that ends no sentence."""
@@ -42,6 +45,12 @@ def terms_of(stages: Stages) -> Tables:
         ],
     }
     return {kind: rows for kind, rows in tables.items() if rows or kind in _ALWAYS}
+
+
+def write_terms(stages: Stages, folder: Path) -> None:
+    """Leaves the rows in a folder."""
+    with replacing(folder / TERMS) as part:
+        part.write_text(json.dumps(terms_of(stages), indent=1) + "\n")
 
 
 def describe(stages: Stages) -> str:

@@ -1,7 +1,7 @@
 """What a run shows and leaves: progress bar, progress.csv, learning curve."""
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
@@ -17,6 +17,8 @@ from resc.errors import ConfigError
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
+OWN_SCALE = ("crash",)
+"""Terms of the reward that a rare event earns: at first they are larger than all others."""
 STYLES = ("solid", "dashed", "dotted")
 """Of the lines of several difficulties."""
 _BESIDE: dict[str, Any] = {
@@ -140,33 +142,47 @@ def _read_rows(path: Path) -> list[dict[str, float]]:
 def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
     """Outcomes, return and reward terms against frames, as one picture.
 
-    With a curriculum, difficulty against frames and success against difficulty, too.
+    Terms of `OWN_SCALE` have a panel of their own. With a curriculum, difficulty against frames and
+    success against difficulty, too.
     """
     frames = [row["frames"] / 1e6 for row in rows]
-    eased = _named(rows, "difficulty/")
-    count = 5 if eased else 3
+    eased, named = _named(rows, "difficulty/"), _named(rows, "reward/")
+    alone = own_scale(named)
+    count = 3 + bool(alone) + 2 * bool(eased)
     figure, panels = plt.subplots(1, count, figsize=(13 / 3 * count, 3.6), layout="constrained")
-    rates, returns, terms = panels[:3]
+    rates, returns, terms, *others = panels
     for name in _named(rows, "outcome/"):
         rates.plot(frames, _column(rows, f"outcome/{name}"), label=name)
-    rates.set(
-        xlabel="frames [M]", ylabel="share of episodes", ylim=(0, 1), title="how episodes end"
-    )
+    rates.set(ylabel="share of episodes", ylim=(0, 1), title="how episodes end")
     _add_legend(rates, **_BESIDE)
     returns.plot(frames, _column(rows, "episode/return"), color="black")
-    returns.set(xlabel="frames [M]", title="return")
-    for name in _named(rows, "reward/"):
+    returns.set(title="return")
+    for name in (name for name in named if name not in alone):
         terms.plot(frames, _column(rows, f"reward/{name}"), label=name)
-    terms.set(xlabel="frames [M]", title="reward terms per step", yscale="symlog")
+    terms.set(title="reward terms per step")
+    terms.set_yscale("symlog", linthresh=0.1, linscale=0.5)
+    terms.yaxis.set_major_formatter("{x:g}")
     _add_legend(terms, **_BESIDE)
+    if alone:
+        crash = others.pop(0)
+        for name in alone:
+            crash.plot(frames, _column(rows, f"reward/{name}"), label=name, color="black")
+        crash.set(title=f"{', '.join(alone)}, per step")
+    for axes in panels[: 3 + bool(alone)]:
+        axes.set(xlabel="frames [M]")
     if eased:
-        _draw_difficulty(panels[3], frames, rows, eased)
-        _draw_success_by_difficulty(panels[4], rows, eased)
+        _draw_difficulty(others[0], frames, rows, eased)
+        _draw_success_by_difficulty(others[1], rows, eased)
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.2)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def own_scale(terms: Iterable[str]) -> list[str]:
+    """Those of the terms of the reward that are drawn on a scale of their own."""
+    return [name for name in terms if name in OWN_SCALE]
 
 
 def _draw_difficulty(
