@@ -3,7 +3,6 @@
 python train.py                                    the default: flight among obstacles
 python train.py +experiment=quick                  a few minutes of it
 python train.py obstacle_observation=none          swap a part
-python train.py init_from=latest reward.jerk.weight=0.1    the last run's policy, further
 python train.py resume=latest                      go on with the last run, or sweep
 python train.py --cfg job                          look, do not run
 """
@@ -23,6 +22,7 @@ from resc.errors import ExitCode
 from resc.learning.beginning import first_weights, restore, resumed
 from resc.learning.training import train_and_save
 from resc.learning.training_run import TrainingRun
+from resc.pages.write import leave_page
 from resc.process import prepare_process
 from resc.run_folder import (
     CONFIG,
@@ -79,6 +79,7 @@ def run(training: TrainingRun, folder: Path) -> None:
     with logged(folder / "train.log"), closing(logger):
         print(describe(trainer.env.stages), flush=True)
         summary = train_and_save(trainer, training, folder, logger)
+        leave_page(folder)
         again = go_on(folder, config["allowed_targets"])
         if trainer.frames < config["total_frames"]:
             print(f"Stopped after {trainer.frames} frames. Go on with: {again}", file=sys.stderr)
@@ -88,10 +89,10 @@ def run(training: TrainingRun, folder: Path) -> None:
         except BaseException as error:
             error.add_note(f"The policy is trained and kept; fly the held-out episodes by: {again}")
             raise
-        summary |= flights.rates
-        finish_run(folder, summary, "train")
+        finish_run(folder, summary | flights.rates, "train")
+        leave_page(folder)
         logger.attach(flights.rates)
-        print(f"{succeeded(summary)}. Results: {folder}")
+        print(f"{succeeded(flights.rates)}. Results: {folder}")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from resc.envs.terms_table import write_terms
 from resc.errors import CheckpointError, RecordingError, RescError
 from resc.learning.checkpoint import save_checkpoint
 from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
@@ -70,6 +71,7 @@ def train_and_save(
 
     The summary counts all processes that trained the run, and, under `process`, this one alone.
     """
+    write_terms(trainer.env.stages, folder)
     recorder = run.recorder(trainer, folder)
     save = partial(run.save_policy, folder, trainer.algorithm, trainer.env.stages)
     table = ProgressTable(folder / PROGRESS, trainer.frames)

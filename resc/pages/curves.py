@@ -41,12 +41,12 @@ def curves(page: Page, rows: Rows) -> tuple[list[Html], list[Html]]:
         shares = {"yrange": [0, 1]} if panel.startswith(SHARES) else {}
         title = TITLES.get(panel, panel.replace("_", " "))
         chart = page.chart(title, "lines", x=plain(frames), series=series, **shares, **AXIS)
-        if panel in MAIN or panel.startswith("reward"):
+        if panel in MAIN or panel.endswith(" per step"):
             main[panel] = chart
         else:
             rest.append(chart)
-    order = sorted(main, key=lambda panel: (MAIN.index(panel.partition(" ")[0]), panel))
-    return [main[panel] for panel in order], rest
+    order = [*MAIN[:3], *(panel for panel in main if panel not in MAIN), *MAIN[3:]]
+    return [main[panel] for panel in order if panel in main], rest
 
 
 AXIS: dict[str, Any] = {"xlabel": "frames [M]", "xunit": "M frames"}
@@ -72,7 +72,7 @@ def _panels(rows: Rows) -> dict[str, list[str]]:
         if prefix == "reward":
             alone = [f"reward/{name}" for name in own_scale(n.partition("/")[2] for n in own)]
             panels["reward"] = [name for name in own if name not in alone]
-            panels |= {f"reward {name.partition('/')[2]}": [name] for name in alone}
+            panels |= {f"{name.removeprefix('reward/')} per step": [name] for name in alone}
         elif prefix.startswith(SHARES):
             panels[prefix] = own
         else:

@@ -10,7 +10,7 @@ from resc.learning.progress import ProgressTable
 from resc.pages.common import about, add_files, add_pictures, add_terms
 from resc.pages.curves import curves
 from resc.pages.page import Html, Page, details, grid, table, tiles
-from resc.pages.worst import read_flights, worst_flights
+from resc.pages.worst import SHOWN, read_flights, worst_flights
 from resc.run_folder import EPISODES, HELD_OUT, ORIGIN, PROGRESS, json_of, summary_of
 
 CURVE = "learning_curve.png"
@@ -40,13 +40,14 @@ def training_page(folder: Path) -> Page:
     page.add("Result", _result(summary, flights))
     if flights is not None:
         page.add("Held-out flights", _outcomes(flights), _metrics(flights))
-        recordings = [folder / HELD_OUT] if (folder / HELD_OUT).exists() else []
-        page.add("Worst flights", worst_flights(page, flights, recordings))
     rows = ProgressTable(folder / PROGRESS, math.inf).rows
     if rows:
         main, rest = curves(page, rows)
         more = details("All other figures", grid("charts", rest)) if rest else Html()
         page.add("Curves", grid("charts", main), more)
+    if flights is not None:
+        recordings = [folder / HELD_OUT] if (folder / HELD_OUT).exists() else []
+        page.add("Worst flights", worst_flights(page, flights, recordings))
     add_pictures(page, "Pictures", [(folder / CURVE, "Learning curves.")])
     add_terms(page)
     add_files(page, FILES)
@@ -82,7 +83,7 @@ def _metrics(flights: pl.DataFrame) -> Html:
         ends = flights[name].cast(pl.Float64)
         own = arrived[name].cast(pl.Float64).median()
         numbers = (own, ends.median(), ends.min(), ends.max())
-        rows.append((name.replace("_", " "), *map(_shown, numbers)))
+        rows.append((SHOWN.get(name, name.replace("_", " ")), *map(_shown, numbers)))
     head = ("metric", "median of those that succeed", "median of all", "least", "greatest")
     return Html("<p></p>" + table(head, rows))
 

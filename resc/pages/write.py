@@ -36,9 +36,9 @@ def write_page(folder: Path) -> Path:
 
 
 def leave_page(folder: Path) -> None:
-    """Writes the page of what has just ended, or says in a sentence why there is none."""
+    """Writes the page of what has just ended, and says where, or why there is none."""
     try:
-        write_page(folder)
-    except Exception as error:
+        print(f"Page: {write_page(folder)}", flush=True)
+    except Exception as error:  # the run is done, whatever is wrong with its page
         reason = " ".join(str(error).split()) or type(error).__name__
         print(f"No {PAGE}: {reason}", flush=True)
