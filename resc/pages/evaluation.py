@@ -44,7 +44,8 @@ def evaluation_page(folder: Path) -> Page:
         recordings = sorted(own.glob(f"{ROLLOUTS}*"))
         behind = f", {name}" if name else ""
         page.add(f"Worst flights{behind}", worst_flights(page, flights, recordings))
-        pictures = [own / PICTURE, *sorted(own.glob("flight_*.png"))]
+        pictures = sorted(own.glob("flight_*.png"))
+        pictures = [own / PICTURE, *pictures] if len(pictures) > 1 else pictures
         titled = [(path, path.stem.removeprefix("flight_").replace("_", " ")) for path in pictures]
         add_pictures(page, f"Pictures{behind}", titled)
     add_terms(page)

@@ -2,7 +2,7 @@
 // Draws the charts of the page from the data within it, and filters a sweep by its overrides.
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
-  const WIDTH = 640, LEFT = 58, RIGHT = 12, TOP = 8, BOTTOM = 40;
+  const LEFT = 58, RIGHT = 12, TOP = 8, BOTTOM = 40;
   const COLOURS = 8, DASHES = ["", "7 4", "2 3"];
   const data = JSON.parse(document.getElementById("data").textContent);
   const hidden = new Set(); // variants that the filter leaves out
@@ -60,7 +60,7 @@
     dash: DASHES[Math.floor(index / COLOURS) % DASHES.length],
   });
 
-  const axes = (svg, chart, height, across, up) => {
+  const axes = (svg, chart, width, height, across, up) => {
     const floor = height - BOTTOM;
     for (const [value, label] of ticks(...across.ends, 6)) {
       const x = across.at(value);
@@ -69,10 +69,10 @@
     }
     for (const [value, label] of up ? ticks(...up.ends, 5) : []) {
       const y = up.at(value);
-      make("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: y, y2: y, class: "grid" }, svg);
+      make("line", { x1: LEFT, x2: width - RIGHT, y1: y, y2: y, class: "grid" }, svg);
       make("text", { x: LEFT - 7, y: y + 4, "text-anchor": "end" }, svg, label);
     }
-    make("text", { x: (across.from + WIDTH - RIGHT) / 2, y: height - 6, "text-anchor": "middle", class: "label" }, svg, chart.xlabel);
+    make("text", { x: (across.from + width - RIGHT) / 2, y: height - 6, "text-anchor": "middle", class: "label" }, svg, chart.xlabel);
   };
   const scale = (ends, from, to) => ({
     ends, from, at: (value) => from + ((value - ends[0]) / (ends[1] - ends[0])) * (to - from),
@@ -96,9 +96,9 @@
   };
 
   const lines = (figure, chart) => {
-    const height = 290;
+    const width = 500, height = 270;
     const off = new Set();
-    const svg = make("svg", { viewBox: `0 0 ${WIDTH} ${height}`, role: "img", "aria-label": chart.title }, figure);
+    const svg = make("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": chart.title }, figure);
     const tip = html("div", "tip", figure);
     const legend = html("div", "legend", figure);
     const buttons = chart.series.map((series, index) => {
@@ -124,9 +124,9 @@
       svg.replaceChildren();
       const seen = there();
       const all = seen.flatMap((series) => [series.y, series.low ?? [], series.high ?? []]).flat();
-      across = scale(range(chart.x, chart.xrange), LEFT, WIDTH - RIGHT);
+      across = scale(range(chart.x, chart.xrange), LEFT, width - RIGHT);
       up = scale(range(all, chart.yrange), height - BOTTOM, TOP);
-      axes(svg, chart, height, across, up);
+      axes(svg, chart, width, height, across, up);
       for (const series of seen) {
         const { colour, dash } = style(series.style ?? series.index);
         if (series.low) make("polygon", { points: band(chart.x, series.low, series.high, across, up), style: `fill:${colour}`, class: "band" }, svg);
@@ -144,7 +144,7 @@
     svg.addEventListener("pointerleave", leave);
     svg.addEventListener("pointermove", (event) => {
       const box = svg.getBoundingClientRect();
-      const x = ((event.clientX - box.left) / box.width) * WIDTH;
+      const x = ((event.clientX - box.left) / box.width) * width;
       if (x < LEFT - 5) { leave(); return; }
       let near = 0;
       chart.x.forEach((value, i) => {
@@ -164,7 +164,7 @@
         html("em", "", row, shown(series.y[near]) + ends);
       }
       tip.style.display = "block";
-      const left = (at / WIDTH) * box.width;
+      const left = (at / width) * box.width;
       tip.style.left = `${left > box.width / 2 ? left - tip.offsetWidth - 10 : left + 10}px`;
     });
     redraws.push(draw);
@@ -172,16 +172,17 @@
   };
 
   const intervals = (figure, chart) => {
+    const width = 700;
     const svg = make("svg", { role: "img", "aria-label": chart.title }, figure);
     const wide = 24 + 6.6 * Math.max(...chart.rows.map((row) => row.name.length));
-    const left = Math.min(wide, 0.5 * WIDTH);
+    const left = Math.min(wide, 0.6 * width);
     const draw = () => {
       const rows = chart.rows.filter((row) => !hidden.has(row.variant));
       const height = TOP + BOTTOM + 26 * Math.max(rows.length, 1);
       svg.replaceChildren();
-      svg.setAttribute("viewBox", `0 0 ${WIDTH} ${height}`);
-      const across = scale(range(rows.flatMap((row) => [row.low, row.high, row.value]), chart.xrange), left, WIDTH - RIGHT);
-      axes(svg, chart, height, across, null);
+      svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+      const across = scale(range(rows.flatMap((row) => [row.low, row.high, row.value]), chart.xrange), left, width - RIGHT);
+      axes(svg, chart, width, height, across, null);
       if (chart.mark !== undefined) {
         const x = across.at(chart.mark);
         make("line", { x1: x, x2: x, y1: TOP, y2: height - BOTTOM, class: "mark" }, svg);
@@ -191,7 +192,7 @@
         const colour = style(row.style).colour;
         const group = make("g", {}, svg);
         make("title", {}, group, `${row.name}: ${shown(row.value)} (${shown(row.low)} to ${shown(row.high)})`);
-        make("rect", { x: 0, y: y - 13, width: WIDTH, height: 26, class: "row" }, group);
+        make("rect", { x: 0, y: y - 13, width: width, height: 26, class: "row" }, group);
         make("text", { x: left - 10, y: y + 4, "text-anchor": "end" }, group, row.name.length * 6.6 > left ? `${row.name.slice(0, Math.floor(left / 6.6) - 2)}…` : row.name);
         make("line", { x1: across.at(row.low), x2: across.at(row.high), y1: y, y2: y, style: `stroke:${colour}`, "stroke-width": 3 }, group);
         make("circle", { cx: across.at(row.value), cy: y, r: 5, style: `fill:${colour}` }, group);
@@ -236,6 +237,6 @@
     const chart = data.charts[figure.dataset.chart];
     ({ lines, intervals })[chart.kind](figure, chart);
   }
-  const place = document.getElementById("filter");
+  const place = document.getElementById("choice");
   if (place) filter(place, data.runs);
 })();

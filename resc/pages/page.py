@@ -47,16 +47,22 @@ def table(
     """
     rows = list(rows)
     found = list(marks) if marks is not None else [{}] * len(rows)
-    told = [f"<tr>{''.join(f'<th>{escaped(cell)}</th>' for cell in head)}</tr>"]
+    right = [bool(rows) and all(_is_number(row[i]) for row in rows) for i in range(len(head))]
+    told = [_row("th", head, right)]
     for row, mark in zip(rows, found, strict=True):
         own = "".join(f' data-{name}="{escaped(value)}"' for name, value in mark.items())
-        told.append(f"<tr{own}>{''.join(map(_cell, row))}</tr>")
+        told.append(_row("td", row, right, own))
     return Html(f'<div class="wide"><table>\n{chr(10).join(told)}\n</table></div>')
 
 
-def _cell(cell: object) -> str:
-    number = isinstance(cell, int | float) or NUMBER.fullmatch(str(cell))
-    return f'<td class="number">{escaped(cell)}</td>' if number else f"<td>{escaped(cell)}</td>"
+def _row(kind: str, cells: Sequence[object], right: Sequence[bool], own: str = "") -> str:
+    classes = [' class="number"' if number else "" for number in right]
+    pairs = zip(cells, classes, strict=True)
+    return f"<tr{own}>{''.join(f'<{kind}{c}>{escaped(cell)}</{kind}>' for cell, c in pairs)}</tr>"
+
+
+def _is_number(cell: object) -> bool:
+    return isinstance(cell, int | float) or bool(NUMBER.fullmatch(str(cell)))
 
 
 def tiles(facts: Mapping[str, object]) -> Html:
@@ -143,7 +149,9 @@ class Page:
         """The whole file."""
         names = [re.sub(r"\W+", "-", title.lower()) for title, _ in self.sections]
         pairs = list(zip(names, self.sections, strict=True))
-        data = json.dumps({"charts": self.charts, "runs": self.runs}, separators=(",", ":"))
+        data = json.dumps(
+            {"charts": self.charts, "runs": self.runs}, separators=(",", ":"), allow_nan=False
+        )
         return Template((HERE / "page.html").read_text(encoding="utf-8")).substitute(
             title=escaped(f"{self.folder.parent.name}/{self.folder.name}"),
             about=escaped(self.about),
@@ -153,7 +161,7 @@ class Page:
                 f'<section id="{name}"><h2>{escaped(title)}</h2>\n{body}\n</section>'
                 for name, (title, body) in pairs
             ),
-            data=data.replace("<", "\\u003c"),  # nothing in it ends the script
+            data=packed.replace("<", "\\u003c"),  # nothing in it ends the script
             css=(HERE / "page.css").read_text(encoding="utf-8"),
             js=(HERE / "page.js").read_text(encoding="utf-8"),
         )
