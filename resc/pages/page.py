@@ -149,9 +149,8 @@ class Page:
         """The whole file."""
         names = [re.sub(r"\W+", "-", title.lower()) for title, _ in self.sections]
         pairs = list(zip(names, self.sections, strict=True))
-        data = json.dumps(
-            {"charts": self.charts, "runs": self.runs}, separators=(",", ":"), allow_nan=False
-        )
+        data = {"charts": self.charts, "runs": self.runs}
+        packed = json.dumps(data, separators=(",", ":"), allow_nan=False)
         return Template((HERE / "page.html").read_text(encoding="utf-8")).substitute(
             title=escaped(f"{self.folder.parent.name}/{self.folder.name}"),
             about=escaped(self.about),
