@@ -102,7 +102,7 @@ class ProgressTable:
         self.path = path
         self.rows: list[dict[str, float]] = []
         if path.exists():
-            self.rows = [row for row in _read_rows(path) if row["frames"] <= frames]
+            self.rows = [row for row in read_rows(path) if row["frames"] <= frames]
 
     def add(self, row: Mapping[str, float]) -> None:
         """Appends a row; rewrites the whole file when a column is new."""
@@ -119,7 +119,7 @@ class ProgressTable:
             writer.writerows(self.rows)
 
 
-def _read_rows(path: Path) -> list[dict[str, float]]:
+def read_rows(path: Path) -> list[dict[str, float]]:
     """The rows of a progress.csv.
 
     Raises:

@@ -1,6 +1,8 @@
 """The page of an evaluation."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from resc.evaluation.by_pilot import FLIGHTS_TABLE, PICTURE, REPORT, ROLLOUTS
 from resc.pages.common import about, add_files, add_pictures, add_terms, notes
@@ -65,7 +67,7 @@ def from_report(text: str) -> tuple[Html, str]:
     return (table(rows[0], rows[1:]) if rows else Html()), rest
 
 
-def _result(summary: dict[str, float]) -> Html:
+def _result(summary: Mapping[str, Any]) -> Html:
     if "success_rate" not in summary:
         return Html()
     low, high = summary["success_interval"]

@@ -1,12 +1,14 @@
 """The page of a training run."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
 from resc.evaluation.statistics import wilson_interval
-from resc.learning.progress import ProgressTable
+from resc.learning.progress import read_rows
 from resc.pages.common import about, add_files, add_pictures, add_terms
 from resc.pages.curves import curves
 from resc.pages.page import Html, Page, details, grid, table, tiles
@@ -40,7 +42,7 @@ def training_page(folder: Path) -> Page:
     page.add("Result", _result(summary, flights))
     if flights is not None:
         page.add("Held-out flights", _outcomes(flights), _metrics(flights))
-    rows = ProgressTable(folder / PROGRESS, math.inf).rows
+    rows = read_rows(folder / PROGRESS)
     if rows:
         main, rest = curves(page, rows)
         more = details("All other figures", grid("charts", rest)) if rest else Html()
@@ -54,7 +56,7 @@ def training_page(folder: Path) -> Page:
     return page
 
 
-def _result(summary: dict[str, float], flights: pl.DataFrame | None) -> Html:
+def _result(summary: Mapping[str, Any], flights: pl.DataFrame | None) -> Html:
     facts: dict[str, object] = {}
     if flights is not None:
         count, arrived = len(flights), int(flights["success"].sum())

@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 from jaxtyping import Float
 
+from resc.command_line import starting
 from resc.errors import ConfigError, RecordingError
 from resc.evaluation.worst import slowness, worst_maps
 from resc.pages.page import Html, Page, grid, link, paragraph, table
@@ -78,13 +79,14 @@ def worst_flights(page: Page, flights: pl.DataFrame, recordings: Sequence[Path])
             named = f"{recordings[0].relative_to(page.folder).as_posix()}#{episodes[row]}"
             cells.append(link(Path(log.episodes["file"][episodes[row]]), page.folder, named))
         rows.append(cells)
+    again = " ".join((*starting("evaluate.py"), "replay=FOLDER#EPISODE"))
     head = [SHOWN[name] for name in shown] + ["recorded in"] * (log is not None)
     drawn = [] if log is None else [episodes[row] for row in order[:DRAWN]]
     return Html(
         paragraph(
-            "First the flights that do not arrive, then those closest to an obstacle, then the "
-            "slowest. See one again: python evaluate.py replay=FOLDER#EPISODE; in 3-D: resc-log "
-            "scene FOLDER --episode EPISODE.",
+            "First the flights that do not arrive, then those closest to an obstacle, "
+            f"then the slowest. To fly one again: {again}; in 3-D: resc-log scene FOLDER "
+            "--episode EPISODE.",
             "quiet",
         )
         + table(head, rows)
