@@ -19,7 +19,8 @@ PICTURES_B = 3_500_000
 """Bytes of all pictures of a page; those beyond are linked, so that the page stays small."""
 WIDEST = 1800
 """Columns of a picture within a page; wider ones are made smaller."""
-NUMBER = re.compile(r"[-+]?\d[\d,.]*( ?%)?( \(.*\))?( to .*)?|-|")
+NUMBER = re.compile(r"[-+]?\d[\d,.]*( ?%)?( \(.*\)|-[\d.]+| / [\d.]+)?|fails|-|")
+"""What is set to the right: a number, with its interval or another one, or that there is none."""
 
 
 class Html(str):
