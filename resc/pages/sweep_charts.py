@@ -27,11 +27,11 @@ def intervals(page: Page, sweep: Sweep, analysis: Analysis) -> Html:
         [(result.variant, getattr(result, name)) for result in analysis.results]
         for name in ("success", "iqm", "improvement")
     )
-    label = f"probability of doing better than {analysis.baseline}, 95 %"
+    against = f"Better than {analysis.baseline}"
     charts = [
         _estimates(page, sweep, "Held-out success", "share, 95 %", success),
         _estimates(page, sweep, "Interquartile mean of success", "share, 95 %", means),
-        _estimates(page, sweep, "Probability of improvement", label, better, mark=0.5),
+        _estimates(page, sweep, against, "probability, 95 %", better, mark=0.5),
     ]
     return Html("<p></p>" + grid("charts broad", charts))
 
