@@ -17,7 +17,7 @@ from resc.run_folder import EPISODES, HELD_OUT, ORIGIN, PROGRESS, json_of, summa
 
 CURVE = "learning_curve.png"
 FILES = {
-    "policy.pt": "the policy: python evaluate.py policy=FOLDER",
+    "policy.pt": "the policy, which evaluate.py flies",
     "config.yaml": "the configuration, resolved",
     PROGRESS: "the curves, a row per batch",
     EPISODES: "the held-out flights, a row each",
