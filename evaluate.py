@@ -24,6 +24,7 @@ from resc.evaluation.campaign import Evaluation
 from resc.evaluation.suites import scenes_to_fly
 from resc.flying.pilot import build_pilots
 from resc.flying.replay import replay
+from resc.pages.write import leave_page
 from resc.policies.stored import load_policy, policy_folder
 from resc.process import prepare_process
 from resc.run_folder import claimed
@@ -56,6 +57,7 @@ def main(config: DictConfig) -> None:
         pilots = build_pilots(config["pilot"], allowed)
         with logged(folder / "evaluate.log"):
             print(Evaluation(config, policy, scenes, overrides, pilots).fly(folder))
+            leave_page(folder)
 
 
 if __name__ == "__main__":

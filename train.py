@@ -19,11 +19,12 @@ from omegaconf import DictConfig, OmegaConf
 
 from resc import ranks, schema
 from resc.console import logged
+from resc.envs.terms_table import describe
 from resc.errors import ExitCode
 from resc.learning import beginning
-from resc.learning.progress import describe
 from resc.learning.training import train_and_save
 from resc.learning.training_run import TrainingRun
+from resc.pages.write import leave_page
 from resc.process import prepare_process
 from resc.run_folder import CONFIG, finish_run, link_latest, put_aside, succeeded
 from resc.settings import RESUMABLE, check_settings
@@ -74,6 +75,7 @@ def run(training: TrainingRun, folder: Path) -> None:
     with logged(folder / "train.log"), closing(logger):
         print(describe(trainer.env.stages), flush=True)
         summary = train_and_save(trainer, training, folder, logger)
+        leave_page(folder)
         again = ranks.started_by(go_on(folder, config["allowed_targets"]))
         if trainer.frames < config["total_frames"]:
             print(f"Stopped after {trainer.frames} frames. Go on with: {again}", file=sys.stderr)
@@ -83,10 +85,10 @@ def run(training: TrainingRun, folder: Path) -> None:
         except BaseException as error:
             error.add_note(f"The policy is trained and kept; fly the held-out episodes by: {again}")
             raise
-        summary |= flights.rates
-        finish_run(folder, summary, "train")
+        finish_run(folder, summary | flights.rates, "train")
+        leave_page(folder)
         logger.attach(flights.rates)
-        print(f"{succeeded(summary)}. Results: {folder}")
+        print(f"{succeeded(flights.rates)}. Results: {folder}")
 
 
 if __name__ == "__main__":

@@ -96,7 +96,7 @@ def ratio_of(policy: Path) -> float:
     with TemporaryDirectory() as folder:
         there = [f"policy={policy}", f"hydra.run.dir={folder}/flown"]
         command = [sys.executable, "evaluate.py", *MAPS, *there]
-        subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+        subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=600)
         with (Path(folder) / "flown" / "scenes.csv").open() as file:
             rows = [row for row in csv.DictReader(file) if row["name"] != "all"]
     if any(float(row["success_rate"]) < 1 for row in rows):
@@ -115,7 +115,7 @@ def measure(overrides: Sequence[str], every: int, frames: int, ratio: float) -> 
         folder = Path(temporary)
         own = ["--train", str(folder), str(every), str(frames), str(time.time())]
         command = [sys.executable, __file__, *own, *overrides]
-        subprocess.run(command, cwd=ROOT, check=True)
+        subprocess.run(command, cwd=ROOT, check=True, timeout=86_400)
         times = json.loads((folder / TIMES).read_text())
         folders = [folder / str(number) for number in range(len(times))]
         arrives = first(len(times), held_out(folders))
@@ -147,7 +147,11 @@ def main() -> None:
     ratio = ratio_of(SHIPPED) if args.ratio is None else args.ratio
     config = load(args.overrides)
     commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
     ).stdout.strip()
     rows = []
     for seed in args.seeds.split(","):

@@ -29,11 +29,11 @@ from omegaconf.errors import OmegaConfBaseException
 
 import resc.schema
 from resc.build import build
+from resc.envs.terms_table import describe
 from resc.errors import RescError
 from resc.evaluation.courses import lay_out
 from resc.evaluation.setting import Rules
 from resc.evaluation.suites import amounts_of
-from resc.learning.progress import describe
 from resc.learning.training_run import TrainingRun
 from resc.planning.route import planner_for
 from resc.policies.stored import load_policy

@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+from resc.envs.terms_table import describe
 from resc.errors import ConfigError
-from resc.learning.progress import describe
 from resc.math.rotation import heading
 from resc.setup import set_up
 

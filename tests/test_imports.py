@@ -29,6 +29,7 @@ FLOORS = (
     {"viewing", "flying", "door"},
     {"baselines", "learning", "evaluation", "log_command", "gym"},
     {"studies", "deployment", "compile_kernels"},
+    {"pages"},
     {"sweeps"},
 )
 """From the ground up. Rooms of one floor do not know each other."""

@@ -14,9 +14,9 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *ROOT.glob("*.py")]
 LEFT = {
-    "train": ("rollouts", "held_out", "policy.pt"),
-    "sweep": ("multirun.yaml",),
-    "evaluation": ("rollouts", "scenes"),
+    "train": ("report.html", "rollouts", "held_out", "policy.pt"),
+    "sweep": ("report.html", "multirun.yaml"),
+    "evaluation": ("report.html", "rollouts", "scenes"),
     "replay": ("replay.md",),
 }
 """What a run of each kind leaves."""

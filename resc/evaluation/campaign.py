@@ -11,6 +11,7 @@ from typing import Any, cast
 
 from omegaconf import OmegaConf
 
+from resc.envs.terms_table import write_terms
 from resc.errors import ConfigError
 from resc.evaluation.by_pilot import (
     FLIGHTS_TABLE,
@@ -77,6 +78,7 @@ class Evaluation:
         contest = self.contest()
         folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(OmegaConf.create(dict(self.asked)), folder / "config.yaml")
+        write_terms(self._rules[contest.courses[0].own_routes].stages, folder)
         results = self._fly_all(contest, folder)
         flying_s = sum(result.flying_s for result in results)
         frames = sum(result.frames for result in results)

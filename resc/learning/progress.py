@@ -1,30 +1,26 @@
-"""What a run shows and leaves: table of terms, progress bar, progress.csv, learning curve."""
+"""What a run shows and leaves: progress bar, progress.csv, learning curve."""
 
 import csv
-import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
 from statistics import mean
-from textwrap import shorten
 from typing import Any, Protocol, runtime_checkable
 
 import matplotlib as mpl
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 
-from resc.envs.stages import Stages
 from resc.errors import ConfigError
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
+OWN_SCALE = ("crash",)
+"""Terms of the reward that a rare event earns: at first they are larger than all others."""
 STYLES = ("solid", "dashed", "dotted")
 """Of the lines of several difficulties."""
-ABBREVIATIONS = ("eq", "eqs", "fig", "e.g", "i.e", "cf", "vs", "approx", "ref", "sec")
-"""Before a full stop that ends no sentence."""
-LONGEST_SENTENCE = 100
 _BESIDE: dict[str, Any] = {
     "loc": "center left",
     "bbox_to_anchor": (1.0, 0.5),
@@ -106,7 +102,7 @@ class ProgressTable:
         self.path = path
         self.rows: list[dict[str, float]] = []
         if path.exists():
-            self.rows = [row for row in _read_rows(path) if row["frames"] <= frames]
+            self.rows = [row for row in read_rows(path) if row["frames"] <= frames]
 
     def add(self, row: Mapping[str, float]) -> None:
         """Appends a row; rewrites the whole file when a column is new."""
@@ -123,7 +119,7 @@ class ProgressTable:
             writer.writerows(self.rows)
 
 
-def _read_rows(path: Path) -> list[dict[str, float]]:
+def read_rows(path: Path) -> list[dict[str, float]]:
     """The rows of a progress.csv.
 
     Raises:
@@ -143,65 +139,50 @@ def _read_rows(path: Path) -> list[dict[str, float]]:
         ) from None
 
 
-def describe(stages: Stages) -> str:
-    """Table of active terms: what is observed, rewarded and ended, weights, widths, units."""
-    lines = ["observation            columns"]
-    first = 0
-    for term in stages.terms.observations:
-        steps = f" x {term.history} steps" if term.width > len(term.columns) else ""
-        columns = f"{', '.join(term.columns)}{steps}"
-        lines.append(f"  {term.name:<20} {first:>3}-{first + term.width - 1:<3} {columns}")
-        first += term.width
-    lines.append("reward                 weight")
-    for term in stages.terms.rewards:
-        lines.append(f"  {term.name:<20} {term.weight:>7g} {_first_sentence(term)}")
-    lines.append("termination")
-    for term in stages.terms.terminations:
-        kind = "success" if term.success else "truncates" if term.truncates else "failure"
-        lines.append(f"  {term.name:<20} {kind:<9} {_first_sentence(term)}")
-    if stages.terms.randomizations:
-        lines.append("randomization")
-        lines += [
-            f"  {term.name:<20} {_first_sentence(term)}" for term in stages.terms.randomizations
-        ]
-    if stages.eased:
-        lines.append("difficulty             eases")
-    for name in stages.difficulties:
-        paths = [path for path, eased_by in stages.eased.items() if eased_by == name]
-        lines.append(f"  {name:<20} {', '.join(paths)}")
-    return "\n".join(lines)
-
-
 def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
     """Outcomes, return and reward terms against frames, as one picture.
 
-    With a curriculum, difficulty against frames and success against difficulty, too.
+    Terms of `OWN_SCALE` have a panel of their own. With a curriculum, difficulty against frames and
+    success against difficulty, too.
     """
     frames = [row["frames"] / 1e6 for row in rows]
-    eased = _named(rows, "difficulty/")
-    count = 5 if eased else 3
+    eased, named = _named(rows, "difficulty/"), _named(rows, "reward/")
+    alone = own_scale(named)
+    count = 3 + bool(alone) + 2 * bool(eased)
     figure, panels = plt.subplots(1, count, figsize=(13 / 3 * count, 3.6), layout="constrained")
-    rates, returns, terms = panels[:3]
+    rates, returns, terms, *others = panels
     for name in _named(rows, "outcome/"):
         rates.plot(frames, _column(rows, f"outcome/{name}"), label=name)
-    rates.set(
-        xlabel="frames [M]", ylabel="share of episodes", ylim=(0, 1), title="how episodes end"
-    )
+    rates.set(ylabel="share of episodes", ylim=(0, 1), title="how episodes end")
     _add_legend(rates, **_BESIDE)
     returns.plot(frames, _column(rows, "episode/return"), color="black")
-    returns.set(xlabel="frames [M]", title="return")
-    for name in _named(rows, "reward/"):
+    returns.set(title="return")
+    for name in (name for name in named if name not in alone):
         terms.plot(frames, _column(rows, f"reward/{name}"), label=name)
-    terms.set(xlabel="frames [M]", title="reward terms per step", yscale="symlog")
+    terms.set(title="reward terms per step")
+    terms.set_yscale("symlog", linthresh=0.1, linscale=0.5)
+    terms.yaxis.set_major_formatter("{x:g}")
     _add_legend(terms, **_BESIDE)
+    if alone:
+        crash = others.pop(0)
+        for name in alone:
+            crash.plot(frames, _column(rows, f"reward/{name}"), label=name, color="black")
+        crash.set(title=f"{', '.join(alone)}, per step")
+    for axes in panels[: 3 + bool(alone)]:
+        axes.set(xlabel="frames [M]")
     if eased:
-        _draw_difficulty(panels[3], frames, rows, eased)
-        _draw_success_by_difficulty(panels[4], rows, eased)
+        _draw_difficulty(others[0], frames, rows, eased)
+        _draw_success_by_difficulty(others[1], rows, eased)
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.2)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def own_scale(terms: Iterable[str]) -> list[str]:
+    """Those of the terms of the reward that are drawn on a scale of their own."""
+    return [name for name in terms if name in OWN_SCALE]
 
 
 def _draw_difficulty(
@@ -248,12 +229,3 @@ def _add_legend(axes: Axes, **options: Any) -> None:  # noqa: ANN401 - matplotli
     """A legend, where there is something to name."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(**options)
-
-
-def _first_sentence(term: object) -> str:
-    """The first sentence of a term's docstring."""
-    text = " ".join((type(term).__doc__ or "").split())
-    text = re.sub(r" \(facts [\d., ab]+\)", "", text)  # sections of the sheet of public facts
-    ends = [found.start() for found in re.finditer(r"\.(?= |$)", text)]
-    ends = [end for end in ends if not text[:end].lower().endswith(ABBREVIATIONS)]
-    return shorten(text[: ends[0]] if ends else text, LONGEST_SENTENCE, placeholder=" ...")

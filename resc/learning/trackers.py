@@ -18,11 +18,11 @@ from typing import Any, cast
 from omegaconf import OmegaConf
 
 from resc.errors import ConfigError
-from resc.run_folder import CONFIG, EPISODES, ORIGIN, PROGRESS, RUNS, SUMMARY
+from resc.run_folder import CONFIG, EPISODES, ORIGIN, PAGE, PROGRESS, RUNS, SUMMARY
 
 TRACKED = "tracker.json"
 """What the run is called at the tracker, in the run's folder."""
-LEFT = (CONFIG, ORIGIN, SUMMARY, EPISODES, PROGRESS)
+LEFT = (PAGE, CONFIG, ORIGIN, SUMMARY, EPISODES, PROGRESS)
 """What a tracker is given of a finished run, beside its pictures."""
 FRAMES = "frames"
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from resc import ranks
+from resc.envs.terms_table import write_terms
 from resc.errors import CheckpointError, LostRankError, RecordingError, RescError
 from resc.learning.checkpoint import save_checkpoint
 from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
@@ -73,6 +74,8 @@ def train_and_save(
 
     The summary counts all processes that trained the run, and, under `process`, this one alone.
     """
+    if ranks.is_first():
+        write_terms(trainer.env.stages, folder)
     recorder = run.recorder(trainer, folder)
     save = partial(run.save_policy, folder, trainer.algorithm, trainer.env.stages)
     table = ProgressTable(folder / PROGRESS, trainer.frames)

@@ -40,7 +40,32 @@ def markdown(sweep: Sweep, analysis: Analysis) -> str:
     """The report for people."""
     runs, done = sweep.runs, sweep.finished()
     shared = [text for text in runs[0].overrides if all(text in run.overrides for run in runs)]
-    notes = NOTES.format(
+    head, rows = comparison(analysis)
+    parts = [
+        f"# {sweep.folder.name}",
+        f"{len(done)} of {len(runs)} runs finished; all with `{' '.join(shared) or 'defaults'}`.",
+        "\n".join(f"- {name}: {text}" for name, text in sweep.origin.items()),
+        _unequal_budgets(done),
+        _table(head, rows),
+        explained(analysis),
+        _metrics(sweep),
+        *(f"## {title}\n\n![{title}]({name})" for name, title in FIGURES.items()),
+        "## Runs",
+        _table(("run", "variant", "seed", "overrides that differ", "success [%]"), _listed(sweep)),
+    ]
+    return "\n\n".join(part.rstrip() for part in parts if part) + "\n"
+
+
+def comparison(analysis: Analysis) -> tuple[list[str], list[list[str]]]:
+    """What the columns of the table of variants are called, and its rows."""
+    head = ["variant", "seeds", "success [%]", "IQM [%]", f"better than {analysis.baseline}"]
+    costs = ["collisions [%]", "time [s]", "energy [m^2/s^5]", "step [us]"]
+    return [*head, *costs], [_cells(result) for result in analysis.results]
+
+
+def explained(analysis: Analysis) -> str:
+    """What the columns mean."""
+    return NOTES.format(
         groups=len(analysis.density),
         size=len(analysis.shared) // len(analysis.density),
         episodes=len(analysis.shared),
@@ -49,22 +74,6 @@ def markdown(sweep: Sweep, analysis: Analysis) -> str:
         shared=int(analysis.shared.sum()),
         least=LEAST_ARRIVALS,
     )
-    head = ("variant", "seeds", "success [%]", "IQM [%]", f"better than {analysis.baseline}")
-    costs = ("collisions [%]", "time [s]", "energy [m^2/s^5]", "step [us]")
-    rows = [_cells(result) for result in analysis.results]
-    parts = [
-        f"# {sweep.folder.name}",
-        f"{len(done)} of {len(runs)} runs finished; all with `{' '.join(shared) or 'defaults'}`.",
-        "\n".join(f"- {name}: {text}" for name, text in sweep.origin.items()),
-        _unequal_budgets(done),
-        _table((*head, *costs), rows),
-        notes,
-        _metrics(sweep),
-        *(f"## {title}\n\n![{title}]({name})" for name, title in FIGURES.items()),
-        "## Runs",
-        _table(("run", "variant", "seed", "overrides that differ", "success [%]"), _listed(sweep)),
-    ]
-    return "\n\n".join(part.rstrip() for part in parts if part) + "\n"
 
 
 def _metrics(sweep: Sweep) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 from resc.errors import ConfigError, SweepError, UnfinishedError
+from resc.pages.write import leave_page
 from resc.run_folder import FAILURE, link_latest
 from resc.starting.origin import claim
 from resc.studies.ablation import write_report
@@ -80,6 +81,8 @@ def report(folder: Path) -> None:
         print(f"Report: {write_report(folder)}", flush=True)
     except (ConfigError, OSError) as error:
         print(f"No report: {error}", flush=True)
+        return
+    leave_page(folder)
 
 
 @contextlib.contextmanager

@@ -84,6 +84,7 @@ def test_job_done_exits_with_zero_whatever_came_of_the_flights(tmp_path, untrain
     )
     assert code == 0, said
     assert told.startswith("|")
+    assert f"Page: {tmp_path / 'report.html'}" in told
     assert json.loads((tmp_path / "summary.json").read_text())["episodes"] == 4
 
 

@@ -20,6 +20,7 @@ SMALL = (
     *("obstacle_observation=none", "termination.time_limit.limit_s=1.0"),
 )
 LEFT = {"config.yaml", "summary.json", "evaluation.csv", "progress.csv", "learning_curve.png"}
+LEFT |= {"report.html"}
 """Among what is attached."""
 INSTALLING_S = 1800
 """Two libraries with all that they need, and two trainings."""

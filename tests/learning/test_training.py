@@ -10,10 +10,11 @@ from omegaconf import OmegaConf
 from resumed_by import resumed_by
 from test_ppo import SMALL
 
+from resc.envs.terms_table import describe
 from resc.errors import ConfigError, RecordingError
 from resc.flying.replay import fly_again
 from resc.learning.checkpoint import load_checkpoint
-from resc.learning.progress import CsvLogger, ProgressTable, describe, draw_learning_curve
+from resc.learning.progress import CsvLogger, ProgressTable, draw_learning_curve
 from resc.learning.training import train
 from resc.learning.training_run import TrainingRun
 from resc.recording.reader import RolloutLog

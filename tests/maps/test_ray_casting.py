@@ -162,7 +162,7 @@ def test_the_kernels_for_gpus_see_what_those_for_the_cpu_see(poses, tmp_path):
     }
     torch.save(given, tmp_path / "given.pt")
     script = [sys.executable, str(Path(__file__).with_name("interpreted_rays.py"))]
-    subprocess.run([*script, tmp_path / "given.pt", tmp_path / "found.pt"], check=True)
+    subprocess.run([*script, tmp_path / "given.pt", tmp_path / "found.pt"], check=True, timeout=110)
     found = torch.load(tmp_path / "found.pt")
     assert_close(
         found["guided"], ray_casting.guided(field, here, offsets, radii), atol=TOLERANCE_M, rtol=0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from resc.learning.progress import describe
+from resc.envs.terms_table import describe
 
 ROWS = (
     "-1 if neither of the next two control points is in view (2025 paper, eq. 6)",
