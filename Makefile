@@ -92,6 +92,6 @@ $(STAMP): requirements.lock
 	test -z "$$python" || $$python -m venv --clear $(VENV); \
 	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock; \
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .; \
-	echo "Compiling kernels: about a minute."; \
+	echo "Compiling kernels: about two minutes."; \
 	$(PY) -c 'from resc.compile_kernels import compile_kernels; compile_kernels()'; \
 	touch $@

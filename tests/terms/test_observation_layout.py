@@ -119,7 +119,7 @@ def test_velocity_edges_come_before_control_point_edges_and_the_free_distance(ma
     ahead = torch.tensor([[VELOCITY[0] * far, VELOCITY[1] * far]])
     radius = torch.tensor([[math.hypot(VELOCITY[0], VELOCITY[1]) * far + 0.3, 2.0]])
     to_first = torch.tensor([[FIRST[0] - X, FIRST[1] - Y]])
-    both = guided(field, here, torch.stack((ahead, to_first), 1), radius, 3.0)[0].flatten()
+    both = guided(field, here, torch.stack((ahead, to_first), 1), radius)[0].flatten()
     expected = torch.cat((both, free_distance(field, here, ahead, 3.0)))
     assert_close(observe(make_stages(), pose)[22:31], expected, atol=1e-6, rtol=0)
 
