@@ -26,12 +26,12 @@ reproduce: $(STAMP) ## Train the default policy anew and compare it with the sto
 	$(PY) -m resc.evaluation.reproduction runs/latest_train
 
 baselines: $(STAMP) ## Fly the policy and the planners it is compared with, and renew docs/results/baselines.
-	for suite in paper forest field gaps; do \
-		$(PY) evaluate.py suite=$$suite maps=$$( [ $$suite = paper ] && echo null || echo 10 ) flights=$$( [ $$suite = paper ] && echo 8 || echo 1 ) \
+	for course in "paper null 8" "forest 100 1" "field 20 1" "gaps 20 1"; do set -- $$course; \
+		$(PY) evaluate.py suite=$$1 maps=$$2 flights=$$3 \
 			'pilot=[policy,ego_planner,fast_planner,mpc,pursuit]' 'pilot.ego_planner.tracking=[perfect,controller]' \
-			'pilot.fast_planner.tracking=[perfect,controller]' recorder=none name=baselines_$$suite $(ARGS) || exit 1; \
-		mkdir -p docs/results/baselines/$$suite; \
-		cp runs/latest_evaluation/report.md runs/latest_evaluation/scenes.csv runs/latest_evaluation/together_*.png docs/results/baselines/$$suite/; \
+			'pilot.fast_planner.tracking=[perfect,controller]' recorder=none scene_files=0 name=baselines_$$1 $(ARGS) || exit 1; \
+		mkdir -p docs/results/baselines/$$1; \
+		cp runs/latest_evaluation/report.md runs/latest_evaluation/scenes.csv runs/latest_evaluation/together_*.png docs/results/baselines/$$1/; \
 	done
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
