@@ -8,7 +8,7 @@ long after its command that was: the start and compiling count. Recorded as alwa
 and snapshots are left out of the time. Afterwards snapshots are flown, in their order, until one
 arrives in 95 % of the held-out flights, and until one flies the paper's four maps, arriving in all,
 at the time over the bound that `--ratio` asks for (the shipped policy's, by default). What was
-compiled before is there: run it twice for a second start. docs/time_to_quality.md keeps the results.
+compiled before is there: run it twice for a second start. Results: docs/time_to_quality.md.
 """
 
 import argparse
