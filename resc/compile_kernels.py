@@ -4,12 +4,9 @@
 file again that has changed since.
 """
 
-import numpy as np
-
 from resc.baselines.ego_planner import EgoPlanner
 from resc.baselines.fast_planner import FastPlanner
-from resc.baselines.perfect import fly_perfectly
-from resc.baselines.voxel_map import columns
+from resc.baselines.perfect import rehearse
 from resc.door import make_env
 from resc.places import CONF
 
@@ -28,6 +25,5 @@ def compile_kernels() -> None:
     for overrides in (*FLYING, *searches):
         env = make_env(*overrides, num_envs=1, pool_size=8)
         env.rollout(6, auto_reset=True)
-    start, goal = np.array([0.0, 0.0, 1.0]), np.array([6.0, 0.0, 1.0])
     for planner in (EgoPlanner(), FastPlanner()):
-        fly_perfectly(planner, columns([[2.9, -0.8, 0.4, 1.0]], []), start, goal)
+        rehearse(planner)

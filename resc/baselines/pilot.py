@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from resc import keys
+from resc.baselines.perfect import rehearse
 from resc.baselines.perfect_tracking import PARTS, placing
 from resc.baselines.planned_flight import PlannedFlight
 from resc.baselines.planner import TICK_S, Planner, State
@@ -108,6 +109,7 @@ class PlannerPilot(Pilot):
         """Takes a copy of the planner for every flight; where they begin is known when they do."""
         self.check(stages)
         self.require_still(maps[keys.MOVERS_W])
+        rehearse(copy.deepcopy(self.planner))
         self.maps = maps
         self.cells: dict[bytes, Float[np.ndarray, "k 3"]] = {}
         ahead_s, patience_s = 0.0 if self.perfect else self.tracker.ahead_s, self.patience_s
