@@ -26,4 +26,4 @@ def compile_kernels() -> None:
         env = make_env(*overrides, num_envs=1, pool_size=8)
         env.rollout(6, auto_reset=True)
     for planner in (EgoPlanner(), FastPlanner()):
-        rehearse(planner)
+        rehearse(planner, limit_s=40.0)

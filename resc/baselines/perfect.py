@@ -95,14 +95,15 @@ class PerfectFlight:
         return float(min(to_boxes.min(initial=np.inf), to_pillars.min(initial=np.inf)))
 
 
-def rehearse(planner: Planner) -> None:
+def rehearse(planner: Planner, limit_s: float = 5.0) -> None:
     """Flies round a wall, so that all kernels are compiled before planning is timed.
 
     Args:
         planner: Begun here; give a copy of one that is to fly.
+        limit_s: After which it is enough.
     """
     start, goal = np.array([0.0, 0.0, 1.0]), np.array([6.0, 0.0, 1.0])
-    fly_perfectly(planner, columns([[2.9, -0.8, 0.4, 1.0]], []), start, goal, limit_s=5.0)
+    fly_perfectly(planner, columns([[2.9, -0.8, 0.4, 1.0]], []), start, goal, limit_s)
 
 
 def fly_perfectly(
