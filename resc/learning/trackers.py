@@ -9,6 +9,7 @@ import json
 import os
 import time
 import uuid
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
@@ -27,7 +28,7 @@ LEFT = (PAGE, CONFIG, ORIGIN, SUMMARY, EPISODES, PROGRESS)
 FRAMES = "frames"
 
 
-class Tracker:
+class Tracker(ABC):
     """What trackers share.
 
     `connected` is opened at the first figure, so that a run that fails before leaves none.
@@ -43,9 +44,9 @@ class Tracker:
         self.library = _library(self.package)
 
     @cached_property
+    @abstractmethod
     def connected(self) -> Any:  # noqa: ANN401 - of a package that may be missing
         """The run at the tracker."""
-        raise NotImplementedError
 
     @property
     def opened(self) -> bool:

@@ -67,7 +67,7 @@ def run_info(given: argparse.Namespace) -> int:
     """Prints what a recording holds."""
     log = RolloutLog(given.recording)
     size = sum(path.stat().st_size for path in log.files)
-    names = ", ".join(dict.fromkeys(str(path) for path in (log.files[0], log.files[-1])))
+    names = " ... ".join(dict.fromkeys(str(path) for path in (log.files[0], log.files[-1])))
     state = "complete" if log.complete else "cut or being written: all but its last batch is read"
     steps, hours = log.num_steps * log.num_envs, log.num_steps * log.num_envs * log.dt_s / 3600
     again = [*map(str, log.superseded), *log.lacking]

@@ -7,6 +7,7 @@ from ego_scenes import SCENES, cells
 from resc.baselines.ego_planner import EgoPlanner
 from resc.baselines.planner import State, at_rest
 from resc.baselines.voxel_map import columns
+from resc.build import build
 from resc.errors import ConfigError
 
 START, GOAL = np.array((0.0, 0.0, 1.0)), np.array((10.0, 0.0, 1.0))
@@ -173,5 +174,7 @@ def test_a_vehicle_that_is_nowhere_fails_no_tick():
     ],
 )
 def test_numbers_that_nobody_can_plan_with_are_refused(name, value):
-    with pytest.raises(ConfigError, match=name):
-        planner(**{name: value})
+    node = {"_target_": "resc.baselines.ego_planner.EgoPlanner", "lowest_m": 0.7, "highest_m": 1.3}
+    assert isinstance(build(node, "planner"), EgoPlanner)
+    with pytest.raises(ConfigError, match=rf"planner.*{name}"):
+        build(node | {name: value}, "planner")

@@ -11,6 +11,7 @@ from resc.baselines.fast_planner import FastPlanner, KinodynamicSearch, Optimisa
 from resc.baselines.perfect import fly_perfectly
 from resc.baselines.planner import State, at_rest
 from resc.baselines.voxel_map import columns
+from resc.build import build
 from resc.errors import ConfigError
 
 with (DATA / "measured.csv").open() as file:
@@ -22,6 +23,9 @@ with (DATA / "measured.csv").open() as file:
 START, GOAL = np.array([0.0, 0.0, 1.0]), np.array([6.0, 0.0, 1.0])
 NO_OBSTACLES = columns([], [])
 POST = columns([[2.8, -0.1, 0.4, 0.4]], [])
+
+
+TIMES = "resc.baselines.fast_planner.time_adjustment.TimeAdjustment"
 
 
 def planner(**others):
@@ -131,14 +135,21 @@ def test_whether_the_last_plan_is_flown_though_it_stops_short_is_a_switch(stops_
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"velocity_mps": 0.0}, r"velocity_mps is 0.0; expected a number above 0"),
-        ({"acceleration_mps2": -1.0}, r"acceleration_mps2 is -1.0; expected a number above 0"),
+        ({"velocity_mps": 0.0}, r"planner.velocity_mps is 0.0; expected a number above 0"),
+        (
+            {"acceleration_mps2": -1.0},
+            r"planner.acceleration_mps2 is -1.0; expected a number above 0",
+        ),
+        (
+            {"time_adjustment": {"_target_": TIMES, "ratio": 0.5}},
+            r"planner.time_adjustment.ratio is 0.5; expected a number above 1",
+        ),
         ({"lowest_m": 2.0}, r"lowest_m is 2 and highest_m 1.3; expected room between them"),
     ],
 )
 def test_limits_that_allow_nothing_are_told(settings, sentence):
     with pytest.raises(ConfigError, match=sentence):
-        planner(**settings)
+        build({"_target_": "resc.baselines.fast_planner.FastPlanner", **settings}, "planner")
 
 
 def test_a_descent_without_a_budget_flies_what_the_search_found():

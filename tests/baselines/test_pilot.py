@@ -113,3 +113,18 @@ def test_a_planner_that_only_fails_is_given_up_once_the_vehicle_hovers(found_unt
     for step in range(200):
         flight.advance(0.02 * step, at_rest(np.zeros(3)))
     assert len(flight.planner.plans) == calls
+
+
+def test_a_planner_flies_once_before_its_planning_is_timed(flown):
+    begun = []
+
+    class Noting(Straight):
+        def begin(self, obstacles, start_w, goal_w):
+            begun.append(start_w.tolist())
+            super().begin(obstacles, start_w, goal_w)
+
+    given = Noting(3.0)
+    flown(given, "controller", **CLEAR)
+    assert begun[0] == [0.0, 0.0, 1.0]  # the rehearsal, round a wall
+    assert len(begun) == 3  # and the two flights
+    assert not hasattr(given, "plans")  # each of them by a copy

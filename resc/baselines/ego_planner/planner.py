@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from enum import Enum
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +25,7 @@ from resc.baselines.ego_planner.refinement import refined
 from resc.baselines.planner import TICK_S, Plan, Planner, State, at_rest
 from resc.baselines.voxel_map import Sensing, VoxelMap
 from resc.errors import ConfigError
+from resc.quantities import NotNegative, Number, Positive, Within
 
 SENSING_TICKS = 5
 """Ticks from one look at the map and at the trajectory's safety to the next: 20 Hz."""
@@ -82,31 +84,31 @@ class EgoPlanner(Planner):
     def __init__(
         self,
         *,
-        velocity_mps: float = 2.0,
-        acceleration_mps2: float = 3.0,
-        inflation_m: float = 0.099,
-        lowest_m: float = -0.01,
-        highest_m: float = 2.5,
-        sensing_m: float = 5.0,
-        update_range_m: float = 5.5,
+        velocity_mps: Positive = 2.0,
+        acceleration_mps2: Positive = 3.0,
+        inflation_m: NotNegative = 0.099,
+        lowest_m: Number = -0.01,
+        highest_m: Number = 2.5,
+        sensing_m: Positive = 5.0,
+        update_range_m: Positive = 5.5,
         front: bool = True,
-        horizon_m: float = 7.5,
-        replan_m: float = 1.5,
-        keep_m: float = 2.0,
-        spacing_m: float = 0.4,
-        clearance_m: float = 0.5,
-        smoothness_weight: float = 1.0,
-        collision_weight: float = 0.5,
-        feasibility_weight: float = 0.1,
-        fit_weight: float = 1.0,
-        tolerance: float = 0.05,
-        emergency_s: float = 1.0,
-        path_reach_m: float = 5.0,
-        resolution_m: float = 0.1,
+        horizon_m: Positive = 7.5,
+        replan_m: NotNegative = 1.5,
+        keep_m: NotNegative = 2.0,
+        spacing_m: Positive = 0.4,
+        clearance_m: Positive = 0.5,
+        smoothness_weight: NotNegative = 1.0,
+        collision_weight: NotNegative = 0.5,
+        feasibility_weight: NotNegative = 0.1,
+        fit_weight: NotNegative = 1.0,
+        tolerance: NotNegative = 0.05,
+        emergency_s: NotNegative = 1.0,
+        path_reach_m: Positive = 5.0,
+        resolution_m: Positive = 0.1,
         misses_start: bool = True,
         stops_short: bool = True,
         loses_reference: bool = True,
-        checked_share: float = 2.0 / 3.0,
+        checked_share: Annotated[float, Within(0, 1, above=True)] = 2.0 / 3.0,
         seed: int = 0,
     ) -> None:
         weights = Weights(smoothness_weight, collision_weight, feasibility_weight, fit_weight)
@@ -118,7 +120,7 @@ class EgoPlanner(Planner):
             spacing=spacing_m,
             clearance=clearance_m,
             resolution=resolution_m,
-            reach=round(path_reach_m / max(resolution_m, 1e-3)),
+            reach=max(1, round(path_reach_m / resolution_m)),
             excess=1.0 + tolerance,
             weights=weights,
             quirks=quirks,
@@ -129,46 +131,11 @@ class EgoPlanner(Planner):
         self.seed = seed
         self.plans: list[Plan] = []
         self.finished = False
-        self._check()
-
-    def _check(self) -> None:
-        """Refuses numbers by which nobody could plan."""
-        numbers, sensing = self.numbers, self.sensing
-        least_height = 2.0 * numbers.resolution
-        above_zero = {
-            "velocity_mps": numbers.velocity,
-            "acceleration_mps2": numbers.acceleration,
-            "horizon_m": numbers.horizon,
-            "spacing_m": numbers.spacing,
-            "clearance_m": numbers.clearance,
-            "resolution_m": numbers.resolution,
-            "path_reach_m": numbers.reach,
-            "sensing_m": sensing.horizon_m,
-            "update_range_m": sensing.update_range_m,
-            "checked_share": numbers.quirks.checked_share,
-        }
-        for name, value in above_zero.items():
-            if not value > 0:
-                raise ConfigError(f"{name} is {value:g}; it must be above zero.")
-        weights = (f"{name}_weight" for name in Weights._fields)
-        at_least_zero = {
-            "inflation_m": self.inflation_m,
-            "replan_m": self.replan_m,
-            "keep_m": self.keep_m,
-            "emergency_s": self.emergency_s,
-            "tolerance": numbers.excess - 1.0,
-            **dict(zip(weights, numbers.weights, strict=True)),
-        }
-        for name, value in at_least_zero.items():
-            if not value >= 0:
-                raise ConfigError(f"{name} is {value:g}; it must not be below zero.")
-        if not numbers.quirks.checked_share <= 1.0:
-            raise ConfigError("checked_share is a share; it must not be above 1.")
-        lowest, highest = self.heights_m
-        if not highest - lowest >= least_height:
+        least = 2.0 * resolution_m
+        if not highest_m - lowest_m >= least:
             raise ConfigError(
-                f"highest_m is {highest:g} and lowest_m is {lowest:g}; planning in cells needs at "
-                f"least {least_height:g} m between them."
+                f"highest_m is {highest_m:g} and lowest_m is {lowest_m:g}; planning in cells needs "
+                f"at least {least:g} m between them."
             )
 
     def begin(

@@ -104,12 +104,6 @@ class FastPlanner(Planner):
             raise ConfigError(
                 f"lowest_m is {lowest_m:g} and highest_m {highest_m:g}; expected room between them."
             )
-        for name, value in (
-            ("velocity_mps", velocity_mps),
-            ("acceleration_mps2", acceleration_mps2),
-        ):
-            if not value > 0:
-                raise ConfigError(f"{name} is {value}; expected a number above 0.")
         self.velocity_mps, self.acceleration_mps2 = velocity_mps, acceleration_mps2
         self.lowest_m, self.highest_m = lowest_m, highest_m
         self.inflation_m, self.resolution_m = inflation_m, resolution_m

@@ -1,11 +1,12 @@
 """More time where a spline exceeds the limits."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from resc.baselines.bspline import CubicBSpline
 from resc.baselines.fast_planner.limits import Limits
 from resc.baselines.fast_planner.time_kernels import sweep
-from resc.quantities import Count, Positive
+from resc.quantities import Count, Within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +19,7 @@ class TimeAdjustment:
     """
 
     sweeps: Count = 3
-    ratio: Positive = 1.1
+    ratio: Annotated[float, Within(1, above=True)] = 1.1
 
     def adjusted(self, spline: CubicBSpline, limits: Limits) -> CubicBSpline:
         """The spline, slower where it was too fast."""
