@@ -9,6 +9,10 @@ from jaxtyping import Float
 
 TICK_S = 0.01
 """Between two ticks of a planner's state machine: 100 Hz."""
+SENSING_TICKS = 5
+"""From one look at the obstacles and at the way ahead to the next: 20 Hz."""
+ENDED_S = 0.01
+"""Before its end a trajectory is over."""
 NOTHING = np.zeros(3)
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from resc.baselines.bspline import uniform
 from resc.baselines.ego_planner.cost_kernels import collision, feasibility, fit, smoothness
 from resc.baselines.ego_planner.initial import Target, Trajectory, aside, from_previous
-from resc.baselines.ego_planner.numbers import Failure, Quirks
+from resc.baselines.ego_planner.numbers import Quirks
 from resc.baselines.ego_planner.pair_kernels import colliding_spans
 from resc.baselines.ego_planner.path_kernels import shortest_path
 from resc.baselines.ego_planner.rebound import (
@@ -20,6 +20,7 @@ from resc.baselines.ego_planner.rebound import (
 )
 from resc.baselines.ego_planner.reference import LocalTarget, reference
 from resc.baselines.ego_planner.refinement import exceeded, refined
+from resc.errors import PlanningError
 
 BOTH = pytest.mark.parametrize("name", [SPARSE, AUTHOR])
 PRINTED_M = 1e-6
@@ -207,7 +208,7 @@ def test_a_random_way_lies_farther_aside_the_more_often_others_failed():
 def test_a_target_where_the_vehicle_is_fails():
     here = straight(1.0)
     place = Target(here.at(here.duration_s).position, STILL)
-    with pytest.raises(Failure, match="no way to go"):
+    with pytest.raises(PlanningError, match="no way to go"):
         from_previous(here, here.duration_s, place, PAPER)
 
 

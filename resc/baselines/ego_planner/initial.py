@@ -7,9 +7,10 @@ from jaxtyping import Float64
 
 from resc.baselines.bspline import EndDerivatives, fit
 from resc.baselines.ego_planner.curve_kernels import fill_state
-from resc.baselines.ego_planner.numbers import Failure, Numbers, Points, Vector
+from resc.baselines.ego_planner.numbers import Numbers, Points, Vector
 from resc.baselines.ego_planner.reference import Quintics, quintics
 from resc.baselines.planner import State
+from resc.errors import PlanningError
 
 SLOWER = 1.2
 """Time between two knots, times the limit of velocity, over the distance of control points."""
@@ -66,7 +67,7 @@ def from_polynomial(
     """Through a polynomial from the state to the target, which may lead past a point aside.
 
     Raises:
-        Failure: The target is where the vehicle is already.
+        PlanningError: The target is where the vehicle is already.
     """
     course = _polynomial(start, target, numbers, aside)
     interval = _interval(numbers)
@@ -78,7 +79,7 @@ def from_polynomial(
             break
         interval /= FINER
     else:
-        raise Failure("Initial trajectory: no polynomial leads from the state to the target.")
+        raise PlanningError("Initial trajectory: no polynomial leads from the state to the target.")
     end = course.at(times[-1:], 2)[0]
     ends = EndDerivatives(start.velocity, target.velocity, start.acceleration, end)
     return _fitted(samples, float(times[1]), ends)
@@ -102,7 +103,7 @@ def _times(duration_s: float, interval_s: float, numbers: Numbers) -> Float64[np
 def _polynomial(start: State, target: Target, numbers: Numbers, aside: Vector | None) -> Quintics:
     away = float(np.linalg.norm(target.position - start.position))
     if not away >= NEAREST_M:  # nor if it is not a number
-        raise Failure(f"Initial trajectory: the target is {away:.2f} m away, no way to go.")
+        raise PlanningError(f"Initial trajectory: the target is {away:.2f} m away, no way to go.")
     fastest, strongest = numbers.velocity, numbers.acceleration
     ramps = fastest**2 / strongest
     duration = (away - ramps) / fastest + 2.0 * fastest / strongest
@@ -134,14 +135,14 @@ def from_previous(
     """Through the rest of the last trajectory, and from its end to the target.
 
     Raises:
-        Failure: That is a far longer way than a plan may be.
+        PlanningError: That is a far longer way than a plan may be.
     """
     interval, now = _interval(numbers), previous.at(since_s)
     line = np.vstack((_rest(previous, since_s, interval), _appended(previous, target, numbers)))
     far = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
     spacing, samples = numbers.spacing, line[:0]
     if not far[-1] >= NEAREST_M:
-        raise Failure(
+        raise PlanningError(
             f"Initial trajectory: {far[-1]:.2f} m are left of the last one, no way to go."
         )
     while len(samples) < FEWEST:
@@ -150,7 +151,7 @@ def from_previous(
         samples = np.vstack((places, target.position))
         spacing /= FINER
     if len(samples) > MOST_HORIZONS * numbers.horizon / numbers.spacing:
-        raise Failure(
+        raise PlanningError(
             f"Initial trajectory: the last one and its way to the target are {far[-1]:.1f} m long."
         )
     still = np.zeros(3)

@@ -60,7 +60,3 @@ class Numbers(NamedTuple):
     excess: float
     weights: Weights
     quirks: Quirks
-
-
-class Failure(Exception):
-    """A stage of a plan that has no result, and why; the planner answers it."""

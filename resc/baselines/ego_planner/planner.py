@@ -18,19 +18,15 @@ from resc.baselines.ego_planner.initial import (
     from_polynomial,
     from_previous,
 )
-from resc.baselines.ego_planner.numbers import Failure, Numbers, Quirks, Space, Weights
+from resc.baselines.ego_planner.numbers import Numbers, Quirks, Space, Weights
 from resc.baselines.ego_planner.rebound import rebounded
 from resc.baselines.ego_planner.reference import LocalTarget, reference
 from resc.baselines.ego_planner.refinement import refined
-from resc.baselines.planner import TICK_S, Plan, Planner, State, at_rest
+from resc.baselines.planner import ENDED_S, SENSING_TICKS, TICK_S, Plan, Planner, State, at_rest
 from resc.baselines.voxel_map import Sensing, VoxelMap
-from resc.errors import ConfigError
+from resc.errors import ConfigError, PlanningError
 from resc.quantities import NotNegative, Number, Positive, Within
 
-SENSING_TICKS = 5
-"""Ticks from one look at the map and at the trajectory's safety to the next: 20 Hz."""
-ENDED_S = 0.01
-"""Before its end a trajectory is over."""
 SAFETY_STEP_S = 0.01
 STANDING_MPS = 0.1
 MARGIN_M = 10.0
@@ -253,8 +249,8 @@ class EgoPlanner(Planner):
             trajectory = rebounded(make(target, self.numbers), self.numbers, self.space)
             self.trajectory = refined(trajectory, self.numbers, self.space)
             self.begun_s, self.phase, self.failures = time_s, Phase.FLYING, 0
-        except Failure as failure:
-            failed = str(failure)
+        except PlanningError as error:
+            failed = str(error)
             self.failures += 1
         self.plans.append(Plan(time_s, time.perf_counter() - clock, failed))
         return not failed

@@ -8,8 +8,9 @@ from jaxtyping import Float64, Int64
 from resc.baselines.ego_planner.curve_kernels import first_hit
 from resc.baselines.ego_planner.descent_kernels import LINE_SEARCH, REBOUND, descend
 from resc.baselines.ego_planner.initial import Trajectory
-from resc.baselines.ego_planner.numbers import Failure, Numbers, Space
+from resc.baselines.ego_planner.numbers import Numbers, Space
 from resc.baselines.ego_planner.pair_kernels import add_pairs, colliding_spans, new_spans
+from resc.errors import PlanningError
 
 MOST_REBOUNDS = 20
 MOST_RESTARTS = 3
@@ -42,7 +43,7 @@ def rebounded(trajectory: Trajectory, numbers: Numbers, space: Space) -> Traject
     """The trajectory pushed out of obstacles, smoothed and slowed to the limits.
 
     Raises:
-        Failure: It could not be.
+        PlanningError: It could not be.
     """
     points, collision = trajectory.points.copy(), numbers.weights.collision
     trajectory, pairs = Trajectory(points, trajectory.interval_s), no_pairs(len(points))
@@ -53,7 +54,9 @@ def rebounded(trajectory: Trajectory, numbers: Numbers, space: Space) -> Traject
         if ended == REBOUND:
             rebounds += 1
             if rebounds > MOST_REBOUNDS:
-                raise Failure(f"Rebound: still new collisions after {MOST_REBOUNDS} rebounds.")
+                raise PlanningError(
+                    f"Rebound: still new collisions after {MOST_REBOUNDS} rebounds."
+                )
             _add_new(trajectory, pairs, numbers, space)
             continue
         hit_s = collides_at(trajectory, numbers, space)
@@ -61,9 +64,9 @@ def rebounded(trajectory: Trajectory, numbers: Numbers, space: Space) -> Traject
             return trajectory
         restarts += 1
         if hit_s <= trajectory.interval_s:
-            raise Failure("Rebound: the trajectory collides where it begins.")
+            raise PlanningError("Rebound: the trajectory collides where it begins.")
         if restarts == MOST_RESTARTS:
-            raise Failure(f"Rebound: the trajectory collides at {hit_s:.2f} s.")
+            raise PlanningError(f"Rebound: the trajectory collides at {hit_s:.2f} s.")
         pairs[3][0] = 0
         find_pairs(trajectory, pairs, numbers, space)
         collision *= 2.0
@@ -74,7 +77,7 @@ def _add_new(trajectory: Trajectory, pairs: Pairs, numbers: Numbers, space: Spac
     points, checked = trajectory.points, numbers.quirks.checked_share
     spans, ended = new_spans(points, pairs, checked, numbers.resolution, space)
     if not ended:
-        raise Failure("Rebound: the end of the trajectory lies in an obstacle.")
+        raise PlanningError("Rebound: the end of the trajectory lies in an obstacle.")
     add_pairs(points, spans, pairs, numbers.resolution, numbers.reach, space)
 
 
@@ -87,7 +90,7 @@ def _descended(
     limits = limits_of(trajectory, numbers)
     ended = descend(trajectory.points, weights, limits, pairs, NO_REFERENCE, BUDGET, watch)
     if ended == LINE_SEARCH:
-        raise Failure("Rebound: the line search of the optimiser found no lower cost.")
+        raise PlanningError("Rebound: the line search of the optimiser found no lower cost.")
     return ended
 
 

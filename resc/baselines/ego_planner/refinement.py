@@ -5,8 +5,9 @@ import numpy as np
 from resc.baselines.bspline import CubicBSpline, EndDerivatives, fit, uniform
 from resc.baselines.ego_planner.descent_kernels import LINE_SEARCH, descend
 from resc.baselines.ego_planner.initial import Trajectory
-from resc.baselines.ego_planner.numbers import Failure, Numbers, Space
+from resc.baselines.ego_planner.numbers import Numbers, Space
 from resc.baselines.ego_planner.rebound import collides_at, limits_of, no_pairs
+from resc.errors import PlanningError
 
 BUDGET = (200, 16, 0.001)
 KEPT = 5
@@ -17,7 +18,7 @@ def refined(trajectory: Trajectory, numbers: Numbers, space: Space) -> Trajector
     """The trajectory itself if it keeps the limits, else a slower one along its curve.
 
     Raises:
-        Failure: The slower one collides, or no descent was possible.
+        PlanningError: The slower one collides, or no descent was possible.
     """
     ratio = exceeded(trajectory, numbers)
     if ratio <= 1.0:
@@ -36,10 +37,10 @@ def refined(trajectory: Trajectory, numbers: Numbers, space: Space) -> Trajector
     watch = (False, 1.0, numbers.resolution, space)
     limits, pairs = limits_of(result, numbers), no_pairs(0)
     if descend(result.points, weights, limits, pairs, curve, BUDGET, watch) == LINE_SEARCH:
-        raise Failure("Refinement: the line search of the optimiser found no lower cost.")
+        raise PlanningError("Refinement: the line search of the optimiser found no lower cost.")
     hit_s = collides_at(result, numbers, space)
     if hit_s >= 0.0:
-        raise Failure(f"Refinement: the slower trajectory collides at {hit_s:.2f} s.")
+        raise PlanningError(f"Refinement: the slower trajectory collides at {hit_s:.2f} s.")
     return result
 
 

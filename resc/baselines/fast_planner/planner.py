@@ -15,19 +15,24 @@ from resc.baselines.fast_planner.limits import Limits
 from resc.baselines.fast_planner.optimisation import Optimisation
 from resc.baselines.fast_planner.search import KinodynamicSearch
 from resc.baselines.fast_planner.time_adjustment import TimeAdjustment
-from resc.baselines.planner import NOTHING, TICK_S, Plan, Planner, State, at_rest
+from resc.baselines.planner import (
+    ENDED_S,
+    NOTHING,
+    SENSING_TICKS,
+    TICK_S,
+    Plan,
+    Planner,
+    State,
+    at_rest,
+)
 from resc.baselines.voxel_map import Sensing, VoxelMap
 from resc.errors import ConfigError, PlanningError
 from resc.quantities import NotNegative, Number, Positive
 
-SENSING_TICKS = 5
-"""Between two updates of the map, and two checks of the trajectory: 20 Hz."""
 MARGIN_M = 1.0
 """By which the map is larger than what it must hold."""
 STOP_S = 0.01
 """From a failed plan to the stop."""
-ENDED_S = 0.01
-"""Before its end a trajectory is over."""
 LOOK_STEP_S = 0.02
 HEADING_MPS = 0.1
 """Slower vehicles look where they looked before, and at first to the goal."""
