@@ -50,9 +50,11 @@ LONGEST = ("test_compiled.py", "test_mutations.py")
 STAND_IN = Path(__file__).parent / "stand_in_run.py"
 QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none")
 
-torch.set_num_threads(
-    1
-)  # the tests share few cores; threads of torch would only wait for each other
+# The tests share few cores; threads of torch would only wait for each other.
+torch.set_num_threads(1)
+# The first backward pass starts a thread for each device that is registered, and a process with such
+# threads can't be copied by tests of several ranks. torch.export registers one; now there is none.
+torch.ones((), requires_grad=True).backward()
 
 
 def pytest_collection_finish() -> None:
