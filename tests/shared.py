@@ -33,6 +33,7 @@ from short_courses import (  # noqa: F401
     stored,
 )
 
+import resc.pages.worst
 import resc.schema
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
@@ -52,8 +53,8 @@ QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none")
 
 # The tests share few cores; threads of torch would only wait for each other.
 torch.set_num_threads(1)
-# The first backward pass starts a thread for each device that is registered, and a process with such
-# threads can't be copied by tests of several ranks. torch.export registers one; now there is none.
+# The first backward pass starts a thread for each device that is registered, and a process with
+# such threads can't be copied by tests of ranks. torch.export registers one; now there is none.
 torch.ones((), requires_grad=True).backward()
 
 
@@ -124,6 +125,15 @@ class Composer:
         """Whether an override chooses files, rather than to set what they say."""
         named = self.loader.repository.group_exists(override.key_or_group)
         return named and not isinstance(override.value(), dict)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Draws the worst flights, which takes a second each, for tests of pages alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name != "pages":
+            patch.setattr(resc.pages.worst, "DRAWN", 0)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,7 @@
 """Numbers that cannot be meant are refused in one sentence that names them."""
 
-import copy
 import math
+import pickle
 
 import pytest
 from omegaconf import OmegaConf
@@ -130,20 +130,17 @@ ELSEWHERE = {
 
 @pytest.fixture(scope="module")
 def settings(compose):
-    """All groups that take part in the cases, as plain data."""
+    """All groups that take part in the cases, pickled: the fastest way to a copy."""
     law = "scene=training", "algorithm.schedule=linear"
-    return OmegaConf.to_container(compose(*SMALL, *law, *EVERYTHING), resolve=True)
+    config = OmegaConf.to_container(compose(*SMALL, *law, *EVERYTHING), resolve=True)
+    return pickle.dumps(OmegaConf.create(config))
 
 
 def build_with(settings, path, value):
     """Builds a trainer with one setting changed."""
-    changed = copy.deepcopy(settings)
-    *parents, name = path.split(".")
-    node = changed
-    for parent in parents:
-        node = node[parent]
-    node[name] = value
-    return TrainingRun(OmegaConf.create(changed)).trainer()
+    changed = pickle.loads(settings)
+    OmegaConf.update(changed, path, value, merge=False, force_add=True)
+    return TrainingRun(changed).trainer()
 
 
 @pytest.mark.parametrize("path", CASES)

@@ -6,13 +6,13 @@ from typing import Any
 
 from omegaconf import Container, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import MappingNode, YAMLError, compose
+from yaml import CSafeLoader, MappingNode, YAMLError, compose
 
 from resc.errors import RecordingError
 
 
 def parse(document: bytes, origin: str) -> Container:
-    """The configuration in a document.
+    """The configuration in a document, read-only.
 
     Raises:
         RecordingError: It holds anything but a mapping; the message names the `origin`.
@@ -20,9 +20,11 @@ def parse(document: bytes, origin: str) -> Container:
     try:
         text = document.decode()
         # OmegaConf alone would make a mapping of a word, and take a list.
-        if not isinstance(compose(text), MappingNode):
+        if not isinstance(compose(text, CSafeLoader), MappingNode):
             raise ValueError("it holds no mapping")
-        return OmegaConf.create(text)
+        config = OmegaConf.create(text)
+        OmegaConf.set_readonly(config, True)
+        return config
     except (YAMLError, OmegaConfBaseException, ValueError, RecursionError) as error:
         reason = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise RecordingError(

@@ -72,9 +72,9 @@ class RolloutLog(Recorded):
         """Documents stored with the recording, by name (from the first file)."""
         return self._sources[0].attachments()
 
-    @property
+    @cached_property
     def config(self) -> "omegaconf.Container":
-        """The configuration of the run, from the attachment `config.yaml`."""
+        """The configuration of the run, from the attachment `config.yaml`; to be read only."""
         from resc.recording.configuration import parse
 
         if "config.yaml" not in self.attachments:
