@@ -215,6 +215,9 @@ def test_lengthened_run_puts_the_held_out_flights_of_the_earlier_policy_aside(co
     table = read_episodes(own / "evaluation.csv", 4)
     script.run(TrainingRun(go_on(compose, own, "total_frames=512"), []), own)
     assert is_finished(own)
+    origin = json.loads((own / "origin.json").read_text())
+    assert (origin["overrides"], len(origin["resumed"])) == (RUN, 1)
+    assert origin["resumed"][0]["command"] == origin["command"]  # that of the tests
     later = RolloutLog(own / "held_out")
     assert len(later) == 4
     assert later.metadata["policy_sha256"] != earlier
