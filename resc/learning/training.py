@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from resc import ranks
+from resc.console import progress
 from resc.envs.terms_table import write_terms
 from resc.errors import CheckpointError, LostRankError, RecordingError, RescError
 from resc.learning.checkpoint import save_checkpoint
@@ -146,13 +147,13 @@ def train(
     if recorder is not None:
         record_world(recorder, pool, trainer.collector.start_step)
         trainer.collector.keep_starts()
-    bar = tqdm(
-        total=total_frames,
+    bar = progress(
+        total_frames,
+        lasts=True,
+        silent=not ranks.is_first(),
         initial=trainer.frames,
         unit="step",
         unit_scale=True,
-        smoothing=0.05,
-        disable=not ranks.is_first(),
     )
     with stopping_at_batch_end() as interruption, bar:
         while trainer.frames < total_frames and not ranks.any_of(interruption.requested):
