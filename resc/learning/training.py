@@ -73,7 +73,8 @@ def train_and_save(
 ) -> dict[str, Any]:
     """Trains until the budget is spent or a signal comes, saves; returns frames and seconds.
 
-    The summary counts all processes that trained the run, and, under `process`, this one alone.
+    The summary counts all processes that trained the run, one after the other or together, and,
+    under `process`, what this one added; `processes` is how many train it together.
     """
     if ranks.is_first():
         write_terms(trainer.env.stages, folder)
@@ -108,6 +109,7 @@ def train_and_save(
     own = speeds(trainer.frames - frames, trainer.trained_s - trained_s)
     summary = {
         **speeds(trainer.frames, trainer.trained_s),
+        "processes": ranks.count(),
         "process": own,
         "made_with": trainer.made_with,
     }

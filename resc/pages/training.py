@@ -79,6 +79,8 @@ def _result(summary: Mapping[str, Any], flights: pl.DataFrame | None) -> Html:
         facts["frames trained on"] = f"{summary['frames']:,}"
         facts["minutes of training"] = f"{(summary.get('wall_s') or 0.0) / 60:,.1f}"
         facts["steps/s"] = f"{summary.get('frames_per_s') or 0.0:,.0f}"
+    if (count := summary.get("processes", 1)) != 1:
+        facts["processes train together"] = count
     return tiles(facts) if facts else Html()
 
 

@@ -20,7 +20,7 @@ from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.learning.training_run import TrainingRun
 from resc.policies.networks import RunningNormalization
 from resc.recording.reader import RolloutLog
-from resc.run_folder import CHECKPOINT
+from resc.run_folder import CHECKPOINT, summary_of
 from resc.starting.launch import answering
 
 FLOWN = (
@@ -126,6 +126,7 @@ def test_only_the_first_speaks_and_writes(finished):
     assert origin["command"].startswith(
         "torchrun --nproc-per-node=2 train.py compile=false num_envs=8"
     )
+    assert summary_of(folder)["processes"] == 2
     assert len((folder / "evaluation.csv").read_text().splitlines()) == 5
     frames = [row.split(",")[0] for row in (folder / "progress.csv").read_text().splitlines()]
     assert frames == ["frames", "128.0", "256.0"]

@@ -118,6 +118,14 @@ def test_page_of_a_run_is_whole_and_tells_its_results(run):
     assert {"progress.csv", "learning_curve.png"} <= set(seen.all("a", "href"))
 
 
+def test_page_of_a_run_says_how_many_processes_trained_it(run):
+    assert "processes" not in " ".join(require_whole(write_page(run)).data)
+    summary = json.loads((run / "summary.json").read_text())
+    (run / "summary.json").write_text(json.dumps({**summary, "processes": 2}))
+    data = require_whole(write_page(run)).data
+    assert data[data.index("processes train together") - 1] == "2"
+
+
 def test_page_of_a_run_shows_every_command_in_order(run):
     origin = json.loads((run / "origin.json").read_text())
     again = [
