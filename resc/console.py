@@ -54,7 +54,7 @@ class Lines:
         passed_s = self.said - self.began
         line = tqdm.format_meter(
             self.n,
-            self.total,
+            self.total,  # pyright: ignore[reportArgumentType] - None where it is not known
             passed_s,
             ncols=0,
             initial=self.initial,

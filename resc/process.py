@@ -46,6 +46,7 @@ class _Compiling(Listener):
 
     def on_start(self, event: Event) -> None:
         """Before."""
+        assert event.data is not None  # of this kind
         if event.data["dispatcher"].py_func.__module__.startswith("resc."):
             say_compiling()
 

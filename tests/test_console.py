@@ -38,6 +38,13 @@ def test_log_gets_a_line_every_half_minute(clock, capsys):
     ]
 
 
+def test_what_has_no_known_end_is_counted(clock, capsys):
+    with progress(unit="row", unit_scale=True) as bar:
+        clock[0] = 30.0
+        bar.update(6000)
+    assert capsys.readouterr().err == "6.00krow [00:30, 200row/s]\n"
+
+
 def test_what_lasts_tells_its_end_and_what_is_silent_nothing(clock, capsys):
     fly(clock, lasts=True)
     assert capsys.readouterr().err.splitlines()[-1] == "100% 8/8 [01:20<00:00, 10.00s/flight, 8 m]"
