@@ -75,18 +75,19 @@ def run(training: TrainingRun, folder: Path) -> None:
     with logged(folder / "train.log"), closing(logger):
         print(describe(trainer.env.stages), flush=True)
         summary = train_and_save(trainer, training, folder, logger)
-        leave_page(folder)
         again = ranks.started_by(go_on(folder, config["allowed_targets"]))
         if trainer.frames < config["total_frames"]:
+            leave_page(folder)
             print(f"Stopped after {trainer.frames} frames. Go on with: {again}", file=sys.stderr)
             sys.exit(ExitCode.UNFINISHED)
         try:
             flights = training.fly_held_out(folder)
+            finish_run(folder, summary | flights.rates, "train")
         except BaseException as error:
             error.add_note(f"The policy is trained and kept; fly the held-out episodes by: {again}")
             raise
-        finish_run(folder, summary | flights.rates, "train")
-        leave_page(folder)
+        finally:
+            leave_page(folder)
         logger.attach(flights.rates)
         print(f"{succeeded(flights.rates)}. Results: {folder}")
 

@@ -30,9 +30,9 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from tqdm import trange
 
 from resc import schema
+from resc.console import progress
 from resc.envs.stages import Stages
 from resc.errors import RecordingError, RescError
 from resc.flying.replay import recorded_config
@@ -103,17 +103,19 @@ def clone(args: argparse.Namespace, config: DictConfig) -> None:
         )
     optimizer = torch.optim.Adam(policy.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, args.updates)
-    for _ in (bar := trange(args.updates, unit="update")):
-        batch = buffer.sample().to(config["device"])
-        flown = batch["action"]
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
-            action = policy(batch.select("observation"))["action"]
-        loss = (action - flown).square().mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-        bar.set_postfix(loss=f"{loss.item():.4f}", refresh=False)
+    with progress(args.updates, unit="update", lasts=True) as bar:
+        for _ in range(args.updates):
+            batch = buffer.sample().to(config["device"])
+            flown = batch["action"]
+            with set_exploration_type(ExplorationType.DETERMINISTIC):
+                action = policy(batch.select("observation"))["action"]
+            loss = (action - flown).square().mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            bar.set_postfix_str(f"loss {loss.item():.4f}", refresh=False)
+            bar.update()
     run.save_policy(args.out, algorithm, stages)
     held_out = run.fly_held_out(args.out)
     print(

@@ -1,9 +1,11 @@
 """Settings of the whole process: threads and device."""
 
+import functools
 import os
 from pathlib import Path
 
 import torch
+from numba.core.event import Event, Listener, register
 
 from resc import ranks
 from resc.errors import ConfigError
@@ -16,7 +18,7 @@ CGROUP_LIMITS = (
 
 
 def prepare_process(threads: int, device: str) -> None:
-    """Sets the number of CPU threads and checks the device.
+    """Sets the number of CPU threads, checks the device and has compilations told.
 
     Raises:
         ConfigError: There is no such device, or no such number of threads.
@@ -27,6 +29,35 @@ def prepare_process(threads: int, device: str) -> None:
     require_device(device)
     ranks.take_card(device)
     torch.set_num_threads(threads)
+    tell_of_compiling()
+
+
+@functools.cache
+def tell_of_compiling() -> None:
+    """Has a line printed before numba compiles the first kernel that it has not kept.
+
+    numba says when it compiles, which it does not where it finds a kernel on the disk.
+    """
+    register("numba:compile", _Compiling())
+
+
+class _Compiling(Listener):
+    """Hears of every function before and after it is compiled, ours or another package's."""
+
+    def on_start(self, event: Event) -> None:
+        """Before."""
+        assert event.data is not None  # of this kind
+        if event.data["dispatcher"].py_func.__module__.startswith("resc."):
+            say_compiling()
+
+    def on_end(self, event: Event) -> None:
+        """After."""
+
+
+@functools.cache
+def say_compiling() -> None:
+    """Prints the line, once in a process."""
+    print("Compiling kernels once: up to two minutes.", flush=True)
 
 
 def require_device(device: str) -> None:

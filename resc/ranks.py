@@ -7,10 +7,13 @@ function here does nothing, and is not felt.
 import functools
 import hashlib
 import io
+import json
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import timedelta
+from pathlib import Path
 from typing import Any, cast
 
 import torch
@@ -79,6 +82,22 @@ def may_say(error: Exception) -> bool:
         key, own = hashlib.sha256(text.encode()).hexdigest(), str(rank())
         return _store.compare_set(key, "", own).decode() == own
     return True
+
+
+def leave_word(error: Exception, text: str) -> None:
+    """Leaves what ends this process where torchrun looks for it: its report, the last said, has it.
+
+    Of a rank that ends because another has, it is what that one said, if it did.
+    """
+    path = os.environ.get("TORCHELASTIC_ERROR_FILE")
+    if not path:
+        return
+    with suppress(RuntimeError):  # the rank that kept the store is gone
+        if isinstance(error, LostRankError) and _store is not None and _store.check([_WHY]):
+            text = _store.get(_WHY).decode()
+    told = {"message": text, "extraInfo": {"timestamp": str(int(time.time()))}}
+    with suppress(OSError):
+        Path(path).write_text(json.dumps({"message": told}))
 
 
 def share(number: int, name: str) -> int:

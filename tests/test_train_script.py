@@ -66,7 +66,7 @@ def go_on(compose, folder, *overrides):
 def test_run_leaves_what_it_said_and_where_it_is_from(finished):
     told = (finished / "train.log").read_text().splitlines()
     assert told[0].startswith("observation")
-    assert f"Page: {finished / 'report.html'}" in told
+    assert [text for text in told if "Page" in text] == [f"Page: {finished / 'report.html'}"]
     assert told[-1].startswith(("0.0%", "25.0%", "50.0%")), told[-1]
     origin = json.loads((finished / "origin.json").read_text())
     assert origin["overrides"] == RUN
@@ -215,6 +215,9 @@ def test_lengthened_run_puts_the_held_out_flights_of_the_earlier_policy_aside(co
     table = read_episodes(own / "evaluation.csv", 4)
     script.run(TrainingRun(go_on(compose, own, "total_frames=512"), []), own)
     assert is_finished(own)
+    origin = json.loads((own / "origin.json").read_text())
+    assert (origin["overrides"], len(origin["resumed"])) == (RUN, 1)
+    assert origin["resumed"][0]["command"] == origin["command"]  # that of the tests
     later = RolloutLog(own / "held_out")
     assert len(later) == 4
     assert later.metadata["policy_sha256"] != earlier

@@ -21,7 +21,7 @@ FRAMES = {
 }
 FIGURES = ("frames", "episodes", "success_rate", "collision_rate")
 """What the card takes from the summary of a run, held-out episodes."""
-BEGUN = ("command", "commit")
+BEGUN = ("command", "commit", "resumed")
 """What it takes from its origin."""
 
 

@@ -10,7 +10,8 @@ from gymnasium.spaces import Box
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from resc.envs.quadrotor import QuadrotorEnv, require_untransformed
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.torchrl_face import require_untransformed
 from resc.errors import CallError, ConfigError, nearest
 
 RENDER_MODE = "rgb_array"

@@ -19,8 +19,9 @@ from resc.envs.gymnasium_env import (
     require_options,
     spaces_of,
 )
-from resc.envs.quadrotor import QuadrotorEnv, require_untransformed
+from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import StepOutput
+from resc.envs.torchrl_face import require_untransformed
 from resc.errors import CallError, ConfigError
 
 MASK = "reset_mask"

@@ -5,16 +5,14 @@ from collections.abc import Sequence
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Bounded, Categorical, Composite, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv
 
 from resc import keys
 from resc.cuda_graph import CudaGraph, copy_each
 from resc.envs.calls import bad_action, blamed, require_action, require_measured, require_rows
 from resc.envs.stages import Stages, StepOutput, World
-from resc.envs.trial import check_terms
+from resc.envs.torchrl_face import TorchRlFace
+from resc.envs.trial import check_terms, require_torch
 from resc.errors import CallError, ConfigError
-from resc.math.sampling import generator_for, require_seed
 from resc.process import require_memory
 from resc.scenes.pool import ScenePool
 
@@ -22,7 +20,7 @@ BYTES_PER_ENVIRONMENT = 2048
 """At least: the world, the observation and what a step holds in between."""
 
 
-class QuadrotorEnv(EnvBase):
+class QuadrotorEnv(TorchRlFace):
     """`num_envs` quadrotors flying through scenes of a pool, one compiled control step at a time.
 
     Two faces of one simulation: TorchRL's `step` and `reset`, and, without their overhead of
@@ -63,10 +61,8 @@ class QuadrotorEnv(EnvBase):
         require_memory(
             num_envs * BYTES_PER_ENVIRONMENT, f"num_envs is {num_envs}", "lower it", device
         )
-        super().__init__(device=torch.device(device), batch_size=torch.Size((num_envs,)))
-        self.stages = stages.to(device)
+        super().__init__(stages, num_envs, device)
         self.pool = pool
-        self.num_envs = num_envs
         self.in_order = in_order
         self.closed = closed
         self.visits = torch.zeros(num_envs, dtype=torch.int64)
@@ -75,7 +71,7 @@ class QuadrotorEnv(EnvBase):
         self._step_function = stages.step
         self._restart_function = self._restart_rows
         if compiled:
-            _require_torch(stages)
+            require_torch(stages)
             self._step_function = torch.compile(stages.step, fullgraph=True, dynamic=False)
             self._restart_function = torch.compile(
                 self._restart_rows, fullgraph=True, dynamic=False
@@ -92,16 +88,7 @@ class QuadrotorEnv(EnvBase):
         self.scene_difficulty = 1.0
         self._world: World = {}
         self.before: World = {}
-        own, critic = stages.widths
-        self.observation = torch.zeros(num_envs, own, device=self.device)
-        self.observation_critic = torch.zeros(num_envs, critic, device=self.device)
-        self._make_specs()
         self.set_seed(seed)
-
-    @property
-    def observation_width(self) -> int:
-        """Number of columns the policy sees."""
-        return len(self.stages.observation_columns)
 
     @property
     def world(self) -> TensorDict:
@@ -240,30 +227,6 @@ class QuadrotorEnv(EnvBase):
             self.scene_difficulty = value
         self.difficulties[name].fill_(value)  # in place: an input of the compiled reset
 
-    def generator_states(self) -> dict[str, Tensor]:
-        """States of all generators, for a checkpoint."""
-        return {name: generator.get_state() for name, generator in self.generators.items()}
-
-    def load_generator_states(self, states: dict[str, Tensor]) -> None:
-        """Takes a checkpoint's generator states."""
-        for name, state in states.items():
-            self.generators[name].set_state(state)
-
-    def _draw(
-        self, widths: dict[str, int], count: int, rows: Tensor | None = None
-    ) -> dict[str, Tensor]:
-        """Uniform numbers in [0, 1) [count, width] from each named generator; some `rows` of them.
-
-        Drawn on the CPU, so that every device sees the same bits, and sent to it in one piece.
-        """
-        if not widths:
-            return {}
-        drawn = [torch.rand(count, w, generator=self.generators[n]) for n, w in widths.items()]
-        blocks = drawn if rows is None else [block[rows] for block in drawn]
-        if self.device.type != "cpu":
-            blocks = torch.cat(blocks, -1).to(self.device).split([*widths.values()], -1)
-        return dict(zip(widths, blocks, strict=True))
-
     def _entries(self, rows: Tensor) -> Tensor:
         """Pool entries for new episodes of the given rows."""
         if self.in_order:
@@ -346,95 +309,14 @@ class QuadrotorEnv(EnvBase):
         if not self._world:
             raise CallError("The environment has not been reset; call reset (or restart) first.")
 
-    def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
-        """Restarts every random sequence; returns a seed for another environment."""
-        require_seed(0 if seed is None else seed)
-        return super().set_seed(seed, static_seed)
-
     def _set_seed(self, seed: int | None) -> None:
-        self.seed_value = 0 if seed is None else seed
-        self.step_draws = self.stages.step_draws
-        self.draws = self.stages.reset_draws | self.step_draws
-        names = ["scene", *self.draws]
-        self.generators = {name: generator_for(self.seed_value, name) for name in names}
+        super()._set_seed(seed)
         self.visits.zero_()
-
-    def _make_specs(self) -> None:
-        n, device = self.num_envs, self.device
-        width, column = self.observation_width, torch.Size((n, 1))
-        actions = torch.Size((n, self.stages.terms.action.width))
-        seen = {
-            "observation": Unbounded(torch.Size((n, width)), device=device),
-            "outcome": Unbounded(column, dtype=torch.int64, device=device),
-        }
-        if critic := self.observation_critic.shape[-1]:
-            seen["observation_critic"] = Unbounded(torch.Size((n, critic)), device=device)
-        self.observation_spec = Composite(seen, shape=(n,))
-        self.action_spec = Bounded(-1.0, 1.0, actions, device=device)
-        self.reward_spec = Unbounded(column, device=device)
-        flag = Categorical(2, shape=column, dtype=torch.bool, device=device)
-        self.done_spec = Composite(
-            done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)
-        )
-
-    def _critic(self) -> dict[str, Tensor]:
-        """What the value function alone sees, if there is anything."""
-        seen = self.observation_critic
-        return {"observation_critic": seen.clone()} if seen.shape[-1] else {}
-
-    def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDict:
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        rows = torch.arange(self.num_envs) if mask is None else mask[:, 0].nonzero()[:, 0]
-        observation = self.restart(rows) if len(rows) else self.observation
-        outcome = torch.zeros(self.num_envs, 1, dtype=torch.int64, device=self.device)
-        return TensorDict(
-            {"observation": observation.clone(), "outcome": outcome, **self._critic()},
-            batch_size=self.batch_size,
-            device=self.device,
-        )
-
-    def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        if "action" not in tensordict:
-            raise CallError("The tensordict given to step has no 'action'; set one for every row.")
-        out = self.advance(tensordict["action"])
-        if self.graphed:
-            out = StepOutput(*(tensor.clone() for tensor in out))
-        return TensorDict(
-            {
-                "observation": out.observation,
-                **self._critic(),
-                "outcome": out.outcome,
-                "reward": out.reward,
-                "done": out.done,
-                "terminated": out.terminated,
-                "truncated": out.truncated,
-            },
-            batch_size=self.batch_size,
-            device=self.device,
-        )
-
-
-def require_untransformed(env: EnvBase) -> None:
-    """Raises CallError for TorchRL's transforms, which `advance` and `restart` would go round."""
-    if isinstance(env, TransformedEnv):
-        raise CallError(
-            f"The environment has the transform {type(env.transform).__name__}, which only "
-            "TorchRL's step and reset apply; give env.base_env, or use TorchRL's Collector."
-        )
 
 
 def layout_of(stages: Stages) -> Sequence[tuple[str, int]]:
     """Names and widths of the observation's blocks: what a policy must agree with."""
     return tuple((term.name, term.width) for term in stages.terms.observations)
-
-
-def _require_torch(stages: Stages) -> None:
-    """Refuses to compile what calls other code than torch."""
-    if foreign := [term.path for term in stages.terms if not term.compiles]:
-        raise ConfigError(
-            f"{', '.join(foreign)} cannot be compiled: it calls a simulator outside of torch; set "
-            "compile=false, or choose another."
-        )
 
 
 def _copy(world: World, there: World) -> None:

@@ -223,3 +223,12 @@ def _accelerators(device: torch.device) -> list[int]:
     if device.type != "cuda":
         return []
     return [torch.cuda.current_device() if device.index is None else device.index]
+
+
+def require_torch(stages: Stages) -> None:
+    """Refuses to compile what calls other code than torch."""
+    if foreign := [term.path for term in stages.terms if not term.compiles]:
+        raise ConfigError(
+            f"{', '.join(foreign)} cannot be compiled: it calls a simulator outside of torch; set "
+            "compile=false, or choose another."
+        )

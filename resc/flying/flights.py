@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from tensordict import TensorDict
 from torch import Tensor
-from tqdm import tqdm
 
 from resc import keys
+from resc.console import progress
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 from resc.errors import ConfigError
@@ -117,7 +117,7 @@ def fly(
             # A row that waits hovers: its state is put back, but must stay finite until then.
             yield torch.where(over, 0.0, pilot.act(env.world, env.observation))
 
-    with tqdm(total=env.num_envs, desc="flying", unit="flight", leave=False) as bar:
+    with progress(env.num_envs, desc="flying", unit="flight") as bar:
         for before, action, out in flown(env, actions()):
             counted += ~(over | before[keys.FINISHED])
             if log is not None:

@@ -7,9 +7,9 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
-from tqdm import tqdm
 
 from resc import keys
+from resc.console import progress
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import Stages
 from resc.errors import RecordingError
@@ -51,7 +51,7 @@ def transitions(episodes: Selection, *, stages: Stages | None = None) -> TensorD
     config = recorded_config(episodes)
     stages = stages or build_stages(config)
     parts: dict[int, TensorDict] = {}
-    with tqdm(total=len(order), unit="episode", disable=None, leave=False) as bar:
+    with progress(len(order), unit="episode") as bar:
         for start in range(0, len(order), ROWS):
             rows = order[start : start + ROWS]
             some = episodes.take(rows)

@@ -1,7 +1,6 @@
 """Proximal policy optimisation, top to bottom: explore, estimate, update.
 
-Acting and the update of a policy without memory are compiled functions of tensors: TorchRL's
-modules and losses give the same numbers (tested) and cost milliseconds a minibatch more.
+Acting and the update of a policy without memory are compiled; their arithmetic is in `ppo_losses`.
 """
 
 import math
@@ -17,17 +16,12 @@ from torchrl.objectives.value.functional import generalized_advantage_estimate
 from resc import ranks
 from resc.errors import ConfigError, NumericalError
 from resc.learning.algorithm import Algorithm, LearningContext
+from resc.learning.ppo_losses import Figures, Moments, draw_action, losses
 from resc.math.sampling import generator_for
 from resc.policies.heads import Gaussian
 from resc.policies.networks import IS_INIT, NORMALIZED, STATE, RunningNormalization
 from resc.policies.policy import OBSERVATION, OBSERVATION_CRITIC
 from resc.quantities import Count, NotNegative, Number, Positive, Share, Within
-
-HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
-Figures = tuple[Tensor, ...]
-"""A total to minimise; then policy and value loss, entropy, divergence, share clipped."""
-Moments = tuple[Tensor, Tensor]
-"""Mean and standard deviation of the advantages of a minibatch []."""
 
 
 class Ppo(Algorithm):
@@ -136,7 +130,7 @@ class Ppo(Algorithm):
             moments = self.policy[:-1](seen.clone(False))
             chosen["next", STATE] = moments["next", STATE]
             value = self._valued(cast(Tensor, moments[NORMALIZED]), *extra)
-            drawn = *_drawn(moments["loc"], moments["scale"], noise), value
+            drawn = *draw_action(moments["loc"], moments["scale"], noise), value
         else:
             drawn = self._act(observation, noise, *extra)
         names = ("action", "action_log_prob", "state_value")
@@ -152,8 +146,7 @@ class Ppo(Algorithm):
             samples = self._sequences(batch) if self.remembers else self._samples(batch)
         size = self.minibatch // self.steps if self.remembers else self.minibatch
         whole = len(samples) // size * size
-        sums = torch.zeros(5, device=batch.device)
-        count = 0
+        sums, count = torch.zeros(5, device=batch.device), 0
         for _ in range(self.epochs):
             order = torch.randperm(len(samples), generator=self.order, device=self.order.device)
             chosen = samples[order[:whole]]
@@ -240,7 +233,7 @@ class Ppo(Algorithm):
         """Action, its log probability [n] and the value [n, 1]."""
         normal = self.policy.normalization(observation)
         mean, std = self.policy.head(self.policy.network(normal))
-        action, log_prob = _drawn(mean, std, noise)
+        action, log_prob = draw_action(mean, std, noise)
         return action, log_prob, self._valued(normal, extra)
 
     def _samples(self, batch: TensorDict) -> Tensor:
@@ -298,7 +291,8 @@ class Ppo(Algorithm):
         observation, action, before, advantage, target = samples.split(widths, -1)
         mean, std = self.policy.head(self.policy.network(observation[:, :seen]))
         value = self.networks["value"](observation)
-        return self._losses_from(mean, std, value, action, before, advantage, target, shared=shared)
+        given = (mean, std, value, action, before, advantage, target)
+        return losses(*given, shared=shared, **self._weighting)
 
     def _losses_of_sequences(self, sequences: TensorDict, shared: Moments | None = None) -> Figures:
         """Of some of `_sequences`; gradients go back through all their steps."""
@@ -309,42 +303,14 @@ class Ppo(Algorithm):
         given = (moments["loc"], moments["scale"], value, sequences["action"])
         before = sequences["action_log_prob"].unsqueeze(-1)
         learned = before, sequences["advantage"], sequences["value_target"]
-        return self._losses_from(
-            *(part.flatten(0, 1) for part in (*given, *learned)), shared=shared
-        )
+        every = (part.flatten(0, 1) for part in (*given, *learned))
+        return losses(*every, shared=shared, **self._weighting)
 
-    def _losses_from(
-        self,
-        mean: Tensor,
-        std: Tensor,
-        value: Tensor,
-        action: Tensor,
-        before: Tensor,
-        advantage: Tensor,
-        target: Tensor,
-        *,
-        shared: Moments | None,
-    ) -> Figures:
-        """The sum to minimise; then policy and value loss, entropy, divergence, share clipped.
-
-        What TorchRL's `ClipPPOLoss` computes (Schulman et al. 2017, eq. 7 and 9; advantages
-        normalised, by their own moments unless told those of all ranks).
-        """
-        log_std = std.log()
-        now = -(0.5 * ((action - mean) / std).square() + log_std + HALF_LOG_2_PI)
-        change = now.sum(-1, keepdim=True) - before
-        clip = math.log1p(-self.clip_epsilon), math.log1p(self.clip_epsilon)
-        clipped = change.clamp(*clip)
-        centre, spread = (advantage.mean(), advantage.std()) if shared is None else shared
-        advantage = (advantage - centre) / spread.clamp(min=1e-6)
-        gain = torch.minimum(change.exp() * advantage, clipped.exp() * advantage)
-        policy = -gain.mean()
-        error = value - target
-        value_loss = self.value_coefficient * error.square().mean()
-        entropy = (log_std + HALF_LOG_2_PI + 0.5).sum(-1).mean()
-        total = policy + value_loss - self.entropy_coefficient * entropy
-        share = (clipped != change).float().mean()
-        return total, policy, value_loss, entropy, -change.mean(), share
+    @property
+    def _weighting(self) -> dict[str, float]:
+        """Settings of the losses."""
+        names = ("clip_epsilon", "value_coefficient", "entropy_coefficient")
+        return {name: getattr(self, name) for name in names}
 
     def _learn_normalization(self, batch: TensorDict) -> None:
         """Adds the batch to running statistics; only now, so that collecting and updating agree.
@@ -365,9 +331,7 @@ class Ppo(Algorithm):
         return first + self.share_trained * (last - first)
 
     def _check(self) -> None:
-        """Refuses numbers that no run can have."""
-        if min(self.minibatch - 1, self.epochs) < 1:
-            raise ConfigError("epochs must be at least 1, minibatch at least 2.")
+        """Refuses numbers that do not go together; each by itself has the range of its type."""
         if self.schedule == "geometric" and self.final_learning_rate <= 0:
             raise ConfigError(
                 f"final_learning_rate is {self.final_learning_rate}; a geometric schedule needs "
@@ -379,8 +343,6 @@ class Ppo(Algorithm):
             raise ConfigError(
                 f"gamma is {self.gamma} and gae_lambda {self.gae_lambda}; expected shares up to 1."
             )
-        if min(self.learning_rate, self.reward_scale, self.max_grad_norm) <= 0:
-            raise ConfigError("learning_rate, reward_scale and max_grad_norm must be above zero.")
         envs = self.context.num_envs * ranks.count()
         if self.minibatch > self.steps * envs:
             raise ConfigError(
@@ -393,9 +355,3 @@ class Ppo(Algorithm):
                 f"minibatch is {self.minibatch}, but a policy that remembers learns from whole "
                 f"sequences of {self.steps} steps{each}; raise it."
             )
-
-
-def _drawn(mean: Tensor, std: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-    """An action and its log probability [n], from standard normal noise."""
-    action = mean + std * noise
-    return action, (-0.5 * noise.square() - std.log() - HALF_LOG_2_PI).sum(-1)

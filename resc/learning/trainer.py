@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from tensordict import TensorDict
 
 from resc import ranks
-from resc.envs.quadrotor import QuadrotorEnv, require_untransformed
+from resc.envs.quadrotor import QuadrotorEnv
+from resc.envs.torchrl_face import require_untransformed
 from resc.errors import NumericalError
 from resc.flying.collector import Collector
 from resc.flying.diagnosis import largest_reward

@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from resc import ranks
+from resc.console import progress
 from resc.envs.terms_table import write_terms
 from resc.errors import CheckpointError, LostRankError, RecordingError, RescError
 from resc.learning.checkpoint import save_checkpoint
@@ -72,7 +73,8 @@ def train_and_save(
 ) -> dict[str, Any]:
     """Trains until the budget is spent or a signal comes, saves; returns frames and seconds.
 
-    The summary counts all processes that trained the run, and, under `process`, this one alone.
+    The summary counts all processes that trained the run, one after the other or together, and,
+    under `process`, what this one added; `processes` is how many train it together.
     """
     if ranks.is_first():
         write_terms(trainer.env.stages, folder)
@@ -107,6 +109,7 @@ def train_and_save(
     own = speeds(trainer.frames - frames, trainer.trained_s - trained_s)
     summary = {
         **speeds(trainer.frames, trainer.trained_s),
+        "processes": ranks.count(),
         "process": own,
         "made_with": trainer.made_with,
     }
@@ -146,13 +149,13 @@ def train(
     if recorder is not None:
         record_world(recorder, pool, trainer.collector.start_step)
         trainer.collector.keep_starts()
-    bar = tqdm(
-        total=total_frames,
+    bar = progress(
+        total_frames,
+        lasts=True,
+        silent=not ranks.is_first(),
         initial=trainer.frames,
         unit="step",
         unit_scale=True,
-        smoothing=0.05,
-        disable=not ranks.is_first(),
     )
     with stopping_at_batch_end() as interruption, bar:
         while trainer.frames < total_frames and not ranks.any_of(interruption.requested):

@@ -1,6 +1,7 @@
 """Commands that print: info, episodes, schema."""
 
 import argparse
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,7 @@ def run_info(given: argparse.Namespace) -> int:
         "episodes": f"{len(log):,} finished" + _shares(log.episodes),
         **_replans(log),
         **({"left out": "; ".join(again)} if again else {}),
-        **{name: value for name, value in log.metadata.items()},
+        **_session(log),
         "attachments": ", ".join(f"{n} ({len(d):,} B)" for n, d in log.attachments.items()),
     }
     width = max(map(len, facts)) + 2
@@ -145,6 +146,21 @@ def _shares(episodes: pl.DataFrame) -> str:
         return ""
     counts = episodes["outcome"].value_counts(sort=True).rows()
     return ": " + ", ".join(f"{count / len(episodes):.1%} {name}" for name, count in counts)
+
+
+def _session(log: RolloutLog) -> dict[str, str]:
+    """Facts about the run as it was begun, and where and when it was resumed."""
+    first, *later = log.sessions
+    later += json.loads(first.get("merged", "[]"))
+    left_out = {"merged", *(["rank"] if log.ranks > 1 else [])}
+    facts = {name: value for name, value in first.items() if name not in left_out}
+    for number, again in enumerate(later, 1):
+        begun, commit = again.get("begun", "at a time unknown"), again.get("git_commit", "unknown")
+        changes = " with changes" if again.get("git_dirty") == "true" else ""
+        facts[f"resumed {number}"] = (
+            f"{begun}, commit {commit[:12]}{changes}: {again.get('overrides', '')}"
+        )
+    return facts
 
 
 def _replans(log: RolloutLog) -> dict[str, str]:

@@ -38,7 +38,7 @@ def training_page(folder: Path) -> Page:
     origin, summary = json_of(folder / ORIGIN), summary_of(folder)
     where = (origin.get(name) for name in ("begun", "machine", "versions"))
     commit = f"commit {origin['commit']}" if "commit" in origin else None
-    page = Page(folder, about("training run", *where, commit), str(origin.get("command", "")))
+    page = Page(folder, about("training run", *where, commit), _commands(origin))
     flights = read_flights(folder / EPISODES) if "success_rate" in summary else None
     page.add("Result", _result(summary, flights))
     if flights is not None:
@@ -57,6 +57,16 @@ def training_page(folder: Path) -> Page:
     return page
 
 
+def _commands(origin: Mapping[str, Any]) -> str:
+    """The command that began the run, and those that went on with it, each after when it did."""
+    told, later = str(origin.get("command", "")), origin.get("resumed")
+    for again in later if isinstance(later, list) else ():
+        if isinstance(again, Mapping):
+            begun, commit, command = (again.get(name) for name in ("begun", "commit", "command"))
+            told += f"\n# resumed {begun}, commit {commit}\n{command}"
+    return told
+
+
 def _result(summary: Mapping[str, Any], flights: pl.DataFrame | None) -> Html:
     facts: dict[str, object] = {}
     if flights is not None:
@@ -69,6 +79,8 @@ def _result(summary: Mapping[str, Any], flights: pl.DataFrame | None) -> Html:
         facts["frames trained on"] = f"{summary['frames']:,}"
         facts["minutes of training"] = f"{(summary.get('wall_s') or 0.0) / 60:,.1f}"
         facts["steps/s"] = f"{summary.get('frames_per_s') or 0.0:,.0f}"
+    if (count := summary.get("processes", 1)) != 1:
+        facts["processes train together"] = count
     return tiles(facts) if facts else Html()
 
 

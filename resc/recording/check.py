@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from jaxtyping import Int, Shaped
-from tqdm import tqdm
 
+from resc.console import progress
 from resc.errors import RecordingError
 from resc.recording.decode import Arrays, Batch, batches, read_environments
 from resc.recording.indexing import open_sources
@@ -130,9 +130,7 @@ def _check_steps(log: RolloutLog, done: Checked) -> None:
     done.faults += _listing_faults(log)
     last = {source.path: i for i, b in enumerate(log.batches) for source in b.sources}
     returns = _Returns(log)
-    with tqdm(
-        total=log.num_steps * log.num_envs, unit="step", unit_scale=True, disable=None
-    ) as bar:
+    with progress(log.num_steps * log.num_envs, unit="step", unit_scale=True) as bar:
         for i, batch in enumerate(log.batches):
             spans = log.listing.spans[log.listing.spans["batch"] == i]
             with _noting(done):

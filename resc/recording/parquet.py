@@ -5,8 +5,8 @@ from pathlib import Path
 
 import polars as pl
 from pyarrow import parquet
-from tqdm import tqdm
 
+from resc.console import progress
 from resc.errors import RecordingError
 from resc.recording.reader import RolloutLog
 from resc.recording.selection import Selection
@@ -42,7 +42,7 @@ def write_parquet(log: RolloutLog | Selection, path: Path) -> int:
             use_dictionary=False,
             column_encoding=encodings,
         ) as writer,
-        tqdm(unit="row", unit_scale=True, disable=None, leave=False) as bar,
+        progress(unit="row", unit_scale=True) as bar,
     ):
         for table in chain([first], tables):
             writer.write_table(table.to_arrow().cast(schema), row_group_size=max(len(table), 1))

@@ -67,6 +67,19 @@ class RolloutLog(Recorded):
         """Facts about the run, as given to the recorder (from the first file)."""
         return self._sources[0].metadata
 
+    @property
+    def sessions(self) -> list[dict[str, str]]:
+        """The same of each command that began the run or went on with it, in order."""
+        found = [
+            source.metadata for source in self._sources if source.rank == self._sources[0].rank
+        ]
+        return [facts for i, facts in enumerate(found) if facts not in found[:i]]
+
+    @property
+    def ranks(self) -> int:
+        """Processes that recorded it, where several trained together; 1 otherwise."""
+        return len({source.rank for source in self._sources})
+
     @cached_property
     def attachments(self) -> dict[str, bytes]:
         """Documents stored with the recording, by name (from the first file)."""

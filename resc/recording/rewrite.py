@@ -8,8 +8,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
+from resc.console import progress
 from resc.errors import RecordingError
 from resc.recording import wire
 from resc.recording.decode import Batch, batches, read_environments
@@ -155,7 +155,7 @@ def _write(sources: Sequence[Source], head: FileHead, target: Path, done: Rewrit
     total = sum(chunk.length for piece in pieces for chunk in piece.chunks)
     with (
         replacing(target, RecordingError) as unfinished,
-        tqdm(total=total, unit="B", unit_scale=True, disable=None, leave=False) as bar,
+        progress(total, unit="B", unit_scale=True) as bar,
     ):
         segment = Segment(unfinished, head, _CODECS.get(codec, codec))
         try:

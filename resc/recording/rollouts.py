@@ -1,6 +1,7 @@
 """Which columns a rollout of the environment has, and the recorder for them."""
 
 import hashlib
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,7 +76,12 @@ class RecordedRun:
         if not self.recorder:
             return None
         further: dict[str, Any] = {"session": session} if session else {}
-        own = {"seed": str(self.seed), "device": self.device, "overrides": " ".join(self.overrides)}
+        own = {
+            "begun": time.strftime("%Y-%m-%d %H:%M %Z"),
+            "seed": str(self.seed),
+            "device": self.device,
+            "overrides": " ".join(self.overrides),
+        }
         return build(
             self.recorder,
             "recorder",

@@ -186,8 +186,10 @@ def answering() -> Iterator[None]:
             told = f"{told.partition(chr(10))[0]} ({error.full_key})"
         if isinstance(error, OSError) and error.filename is not None:
             told = f"{error.filename} cannot be used ({error.strerror}); give another, or mend it."
+        told = "\n".join([f"error: {told}", *getattr(error, "__notes__", [])])
         if ranks.may_say(error):
-            print("\n".join([f"error: {told}", *getattr(error, "__notes__", [])]), file=sys.stderr)
+            print(told, file=sys.stderr)
+        ranks.leave_word(error, told)
         sys.exit(ExitCode.UNFINISHED if isinstance(error, UnfinishedError) else ExitCode.ERROR)
     except KeyboardInterrupt as error:
         if ranks.is_first():

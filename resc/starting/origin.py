@@ -13,7 +13,7 @@ from pathlib import Path
 from resc import ranks
 from resc.command_line import shell, starting
 from resc.errors import ConfigError
-from resc.run_folder import CHECKPOINT, CONFIG, ORIGIN, git
+from resc.run_folder import CHECKPOINT, CONFIG, ORIGIN, git, json_of, replacing
 from resc.sweep_folder import arguments_of, go_on, origin_of
 
 MULTIRUN = ("-m", "--multirun")
@@ -28,6 +28,8 @@ CHANGEABLE = (
 """Settings that say how a sweep is run, not what its runs are."""
 OF_ITS_FOLDER = ("hydra.mode", "hydra.sweep")
 """Settings that make it a sweep, in its folder."""
+OF_EACH = ("command", "directory", "commit", "machine", "versions", "begun")
+"""What is kept of every command that goes on with a run."""
 
 
 def launched_today(arguments: Sequence[str]) -> list[str]:
@@ -113,18 +115,33 @@ def claim(folder: Path) -> None:
 
 
 def note_origin(folder: Path, overrides: Sequence[str]) -> None:
-    """Writes down where a run is from, unless that was done before."""
+    """Writes down where a run is from: the command that began it, and each that went on with it.
+
+    The latter are listed under `resumed`.
+    """
+    told = facts()
+    told["command"] = ranks.started_by(told["command"])
     path = folder / ORIGIN
-    if not path.exists():
-        told = facts()
-        told["command"] = ranks.started_by(told["command"])
-        path.write_text(json.dumps({**told, "overrides": list(overrides)}, indent=2) + "\n")
+    content = {**told, "overrides": list(overrides)}
+    if path.exists():
+        content = json_of(path)
+        before = content.get("resumed")
+        again = {name: told[name] for name in OF_EACH}
+        content["resumed"] = [*(before if isinstance(before, list) else ()), again]
+    with replacing(path) as part:
+        part.write_text(json.dumps(content, indent=2) + "\n")
 
 
 def facts() -> dict[str, str]:
-    """Which command, directory, commit and machine a run or a sweep is from."""
+    """Which command, directory, commit and machine a run or a sweep is from.
+
+    The folder of a run that goes on is left out of its command: `resume=` names it.
+    """
+    words = sys.argv[1:]
+    if any(text.startswith("resume=") for text in words):
+        words = [text for text in words if not text.startswith("hydra.run.dir=")]
     found = {
-        "command": shell(*starting(Path(sys.argv[0]).name), *sys.argv[1:]),
+        "command": shell(*starting(Path(sys.argv[0]).name), *words),
         "directory": str(Path.cwd()),
         "commit": git("rev-parse", "--short=12", "HEAD") or "unknown",
         "machine": f"{_processor()}, {len(os.sched_getaffinity(0))} cores, {platform.system()}",

@@ -16,9 +16,9 @@ from matplotlib.patches import Polygon, Wedge
 from omegaconf import OmegaConf
 from PIL import Image  # comes with matplotlib
 from torch import Tensor
-from tqdm import tqdm
 
 from resc import keys
+from resc.console import progress
 from resc.errors import RecordingError
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.columns import FLOWN, require_columns
@@ -126,12 +126,14 @@ def write_video(log: RolloutLog, episode: int, path: Path) -> Path:
         _draw_ground(axes, flight)
         canvas = FigureCanvasAgg(figure)
         frames = []
-        for step in tqdm(shown, desc="drawing", unit="frame", disable=None, leave=False):
-            drawn = _draw_frame(axes, flight, step)
-            canvas.draw()
-            frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
-            for artist in drawn:
-                artist.remove()
+        with progress(len(shown), desc="drawing", unit="frame") as bar:
+            for step in shown:
+                drawn = _draw_frame(axes, flight, step)
+                canvas.draw()
+                frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
+                for artist in drawn:
+                    artist.remove()
+                bar.update()
     frame_ms = round(1e3 * every * flight.dt_s)
     lasts_ms = [*[frame_ms] * (len(shown) - 1), LAST_MS]
     with replacing(path, RecordingError) as unfinished:

@@ -26,6 +26,7 @@ from resc.policies.heads import Deterministic, Gaussian, TanhGaussian
 from resc.policies.networks import Gru, Mlp, RunningNormalization
 from resc.policies.policy import Policy
 from resc.policies.stored import StoredPolicy, load_policy
+from resc.run_folder import ORIGIN, SUMMARY, json_of
 from resc.setup import build_stages
 from resc.term import Observation
 
@@ -221,6 +222,22 @@ def test_the_card_says_what_is_stored_of_the_training(made, tmp_path):
     assert (training["success_rate"], training["episodes"], training["frames"]) == (0.9, 10, 512)
     assert (training["commit"], training["command"]) == ("0123abc", "python train.py")
     assert training["collision_rate"] is None
+
+
+def test_shipped_policies_are_stored_with_what_their_table_says():
+    table = (ROOT / "policies" / "README.md").read_text().splitlines()
+    rows = [line.strip("| ").split(" | ") for line in table if line.startswith("| `")]
+    assert {row[0].strip("`") for row in rows} == {
+        path.parent.name for path in (ROOT / "policies").glob("*/policy.pt")
+    }
+    for name, command, _, commit, frames, _, success in rows:
+        folder = ROOT / "policies" / name.strip("`")
+        origin, summary = (json_of(folder / file) for file in (ORIGIN, SUMMARY))
+        assert command.startswith(f"`{origin['command']}`")
+        assert commit == origin["commit"]
+        assert frames == f"{summary['frames'] / 1e6:.1f} M"
+        told = f"{100 * summary['success_rate']:.1f} % of {summary['episodes']:,}"
+        assert success.startswith(told)
 
 
 def test_the_action_commands_what_its_channels_say(compose):

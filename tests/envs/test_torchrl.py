@@ -19,7 +19,7 @@ from torchrl.envs import (
 )
 
 import resc
-from resc.envs.quadrotor import require_untransformed
+from resc.envs.torchrl_face import require_untransformed
 from resc.errors import CallError
 
 COUNT = 3

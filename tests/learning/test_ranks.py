@@ -10,6 +10,7 @@ import pytest
 import torch
 from ranked import Ranks, together
 from test_ppo import SMALL, weights
+from torch.distributed.elastic.multiprocessing.errors import ChildFailedError, ProcessFailure
 
 from resc import ranks
 from resc.errors import ConfigError
@@ -19,7 +20,8 @@ from resc.learning.checkpoint import load_checkpoint, save_checkpoint
 from resc.learning.training_run import TrainingRun
 from resc.policies.networks import RunningNormalization
 from resc.recording.reader import RolloutLog
-from resc.run_folder import CHECKPOINT
+from resc.run_folder import CHECKPOINT, summary_of
+from resc.starting.launch import answering
 
 FLOWN = (
     *SMALL,
@@ -124,6 +126,7 @@ def test_only_the_first_speaks_and_writes(finished):
     assert origin["command"].startswith(
         "torchrun --nproc-per-node=2 train.py compile=false num_envs=8"
     )
+    assert summary_of(folder)["processes"] == 2
     assert len((folder / "evaluation.csv").read_text().splitlines()) == 5
     frames = [row.split(",")[0] for row in (folder / "progress.csv").read_text().splitlines()]
     assert frames == ["frames", "128.0", "256.0"]
@@ -226,6 +229,19 @@ def test_what_is_done_in_one_process_is_refused_once(script, arguments, told):
     errors = "".join(errors for *_, errors in ended)
     assert errors.count("error: ") == 1
     assert told in errors
+
+
+def test_report_of_torchrun_ends_with_the_sentence(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "error.json"
+    monkeypatch.setenv("TORCHELASTIC_ERROR_FILE", str(path))
+    error = ConfigError("seed is high.")
+    error.add_note("Give a number.")
+    with pytest.raises(SystemExit), answering():
+        raise error
+    assert capsys.readouterr().err == "error: seed is high.\nGive a number.\n"
+    report = ChildFailedError("train.py", {0: ProcessFailure(0, 123, 1, str(path))}).format_msg()
+    told = [line.strip() for line in report.splitlines()]
+    assert told[-3:-1] == ["traceback : error: seed is high.", "Give a number."]
 
 
 @pytest.mark.slow

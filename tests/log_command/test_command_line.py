@@ -63,6 +63,27 @@ def test_info_tells_steps_outcomes_columns_and_facts(run, call):
     assert "seed         7" in out
 
 
+def test_info_tells_every_command_of_a_run_of_several_processes_once(call, tmp_path):
+    begun = {"overrides": "seed=7", "git_commit": "a" * 40, "begun": "2026-01-01 10:00 UTC"}
+    again = {"overrides": "total_frames=9", "git_commit": "b" * 40, "begun": "2026-01-02 10:00 UTC"}
+    for rank, place in enumerate((tmp_path / "rollouts", tmp_path / "rollouts" / "rank_001")):
+        own = {"rank": str(rank), "ranks": "2"}
+        record(place, metadata=begun | own, session="before", batches=range(2))
+        record(place, metadata=again | own, session="after", batches=range(2, 4))
+    code, out, _ = call("info", tmp_path)
+    assert code == 0
+    told = [line.split(maxsplit=1) for line in out.partition("\ncolumns")[0].splitlines()]
+    facts = {name: value for name, value in told}
+    assert (facts["overrides"], facts["begun"], facts["ranks"]) == (
+        "seed=7",
+        "2026-01-01 10:00 UTC",
+        "2",
+    )
+    assert "rank" not in facts
+    resumed = [" ".join(value.split()) for name, value in told if name == "resumed"]
+    assert resumed == ["1 2026-01-02 10:00 UTC, commit bbbbbbbbbbbb: total_frames=9"]
+
+
 def test_episodes_are_filtered_sorted_and_limited(run, call, tmp_path):
     where = "outcome != 'success' and length > 10"
     code, out, _ = call("episodes", run, "--where", where, "--sort", "return_", "--csv")

@@ -118,6 +118,31 @@ def test_page_of_a_run_is_whole_and_tells_its_results(run):
     assert {"progress.csv", "learning_curve.png"} <= set(seen.all("a", "href"))
 
 
+def test_page_of_a_run_says_how_many_processes_trained_it(run):
+    assert "processes" not in " ".join(require_whole(write_page(run)).data)
+    summary = json.loads((run / "summary.json").read_text())
+    (run / "summary.json").write_text(json.dumps({**summary, "processes": 2}))
+    data = require_whole(write_page(run)).data
+    assert data[data.index("processes train together") - 1] == "2"
+
+
+def test_page_of_a_run_shows_every_command_in_order(run):
+    origin = json.loads((run / "origin.json").read_text())
+    again = [
+        {"command": f"python train.py resume=x total_frames={n}", "commit": str(n), "begun": day}
+        for n, day in ((2, "Monday"), (3, "Friday"))
+    ]
+    (run / "origin.json").write_text(json.dumps({**origin, "resumed": again}))
+    text = " ".join(require_whole(write_page(run)).data)
+    told = (
+        NASTY,
+        "# resumed Monday, commit 2\npython train.py resume=x total_frames=2",
+        "# resumed Friday, commit 3\npython train.py resume=x total_frames=3",
+    )
+    places = [text.index(one) for one in told]
+    assert places == sorted(places)
+
+
 def test_crash_has_a_chart_of_its_own(run):
     charts = data_of(write_page(run))["charts"]
     drawn = {chart["title"]: [(s["name"], s["y"]) for s in chart["series"]] for chart in charts}
