@@ -28,8 +28,6 @@ from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
 from resc.viewing import layouts
 from resc.viewing.appearance import (
-    OBSTACLE,
-    ROTOR,
     TRAIL_STEPS,
     map_centres,
     obstacle_surface,
@@ -44,7 +42,7 @@ from resc.viewing.appearance import (
     shades,
     top_of_obstacles,
 )
-from resc.viewing.colours import MEASURED, MOVER
+from resc.viewing.colours import MEASURED, MOVER, OBSTACLE, ROTOR
 from resc.viewing.episode_scene import CONFIG, EpisodeScene, load_scene
 from resc.viewing.foxglove_messages import (
     LINE_KINDS,

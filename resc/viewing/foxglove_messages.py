@@ -66,7 +66,7 @@ def stamp(time_ns: int) -> Timestamp:
 
 
 def paint(colour: str, alpha: float = 1.0) -> Color:
-    """A colour such as `#1f6fb2`."""
+    """A colour as messages have it."""
     red, green, blue, opacity = (channel / 255 for channel in rgba(colour, alpha))
     return Color(r=red, g=green, b=blue, a=opacity)
 

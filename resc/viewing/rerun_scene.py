@@ -15,9 +15,6 @@ from resc.run_folder import replacing
 from resc.sights import Shape
 from resc.viewing import layouts
 from resc.viewing.appearance import (
-    FRONT,
-    NEXT,
-    OBSTACLE,
     TRAIL_STEPS,
     rgba,
     rotor_colours,
@@ -28,10 +25,10 @@ from resc.viewing.appearance import (
     shades,
     top_of_obstacles,
 )
-from resc.viewing.colours import ESTIMATED, MEASURED, MOVER
+from resc.viewing.colours import AXES, ESTIMATED, FRONT, MEASURED, MOVER, NEXT, OBSTACLE, RENEWED
 from resc.viewing.episode_scene import EpisodeScene, load_scene
 from resc.viewing.foxglove import KNOWN_M
-from resc.viewing.known_picture import RENEWED, shaded
+from resc.viewing.known_picture import shaded
 from resc.viewing.scalars import Numbers
 from resc.viewing.sight import colour_of
 
@@ -45,7 +42,6 @@ EYE = np.array((0.0, -0.5, 1.35))
 SCENE = ("/world/**", "/map/**", "/plan/**", "/drone/**", "/observation/**")
 DIMMED = 0.45
 """Opacity of commanded rates beside true ones."""
-AXIS_COLOURS = {"x": "#d7263d", "y": "#1b8a5a", "z": "#1f6fb2"}
 
 
 def write_rerun(
@@ -91,7 +87,7 @@ def _send(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
         _send_sight(stream, f"/observation/{name}", seen, scene, times)
     for path, values in _curves(scene_numbers(scene)):
         stream.send_columns(path, [times], rr.Scalars.columns(scalars=values))
-    for axis, colour in AXIS_COLOURS.items():
+    for axis, colour in zip("xyz", AXES, strict=True):
         for topic, name, alpha in (("state", "true", 1.0), ("command", "commanded", DIMMED)):
             style = rr.SeriesLines(colors=[rgba(colour, alpha)], names=[f"{axis} {name}"])
             stream.log(f"/{topic}/body_rate/{axis}", style, static=True)

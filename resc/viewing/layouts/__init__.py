@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import foxglove.layouts as panels
 
-from resc.viewing.colours import ESTIMATED, TRUE
+from resc.viewing.colours import CHALK, ESTIMATED, NEXT, NIGHT, RENEWED, TRUE
 
 DEFAULT = (
     (
@@ -22,10 +22,9 @@ DEFAULT = (
 """Rewards, and topics under /observation, of the default training."""
 CAMERA = {"distance": 7.0, "phi": 50.0, "thetaOffset": 45.0, "perspective": True}
 """The camera looks down on the vehicle from this distance [m], and goes where it goes."""
-BACKGROUND = "#1c2128"
-PLAN, TRAIL = ("#ffffffff", "#ffffffff"), ("#f2a900ff", "#d7263dff")
+PLAN, TRAIL = (CHALK + "ff",) * 2, (NEXT + "ff", TRUE + "ff")
 ESTIMATE, BESIDE_ESTIMATE = (ESTIMATED + "ff",) * 2, (TRUE + "66",) * 2
-ROUTE = ("#19d3b5ff",) * 2
+ROUTE = (RENEWED + "ff",) * 2
 """The estimated track, and the true one around it, through which it shows."""
 SHARES = (62, 38)
 """Width [%] of the 3-D view and of the curves."""
@@ -101,7 +100,7 @@ def view(observations: Sequence[str], tracks: Sequence[str] = ()) -> dict[str, A
         "cameraState": CAMERA,
         "followMode": "follow-position",
         "followTf": "drone",
-        "scene": {"backgroundColor": BACKGROUND, "transforms": {"visible": False}},
+        "scene": {"backgroundColor": NIGHT, "transforms": {"visible": False}},
         "topics": topics(observations, tracks),
     }
 
