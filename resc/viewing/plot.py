@@ -211,12 +211,8 @@ def _draw_map(
     axes.add_collection(lines)
     draw_tracks(axes, steps)
     told = legend_entries(routes, known)
-    named = [
-        ring_entry(ring_m, ends=inflation > 0),
-        *moving,
-        *axes.get_legend_handles_labels()[0],
-        *told,
-    ]
+    ring = ring_entry(ring_m, ends=inflation > 0)
+    named = [ring, *moving, *axes.get_legend_handles_labels()[0], *told]
     axes.legend(handles=named, loc="upper left", fontsize="small", framealpha=0.8)
     mark = {"edgecolors": "white", "linewidths": 0.8, "zorder": 6}
     axes.scatter(*position[-1], s=50, marker="D", c=COLLISION, **mark)

@@ -13,8 +13,8 @@ from resc.flight_logs.models import LoopModel
 from resc.flight_logs.rate_response import AXES, AxisResult, Response
 from resc.flight_logs.thrust_curve import GRAVITY_MPS2, ThrustCurve
 from resc.run_folder import replacing
-from resc.viewing import colours
-from resc.viewing.colours import FRAME, TEXT
+from resc.viewing.colours import AXES as HUES
+from resc.viewing.colours import FRAME, ORANGE, TEXT
 
 _MOST_LINES = 60
 
@@ -31,7 +31,7 @@ def draw_responses(
         figure = Figure(figsize=(12, 7.5), layout="constrained")
         places = figure.subplots(2, 2)
         for i, axes in enumerate(places.flat[:3]):
-            _draw_axis(axes, results[i], AXES[i], colours.AXES[i], model.name)
+            _draw_axis(axes, results[i], AXES[i], HUES[i], model.name)
         _draw_curve(places[1, 1], curve, model)
         figure.suptitle(f"{name}: response to rate set-points, and thrust")
         with replacing(path, RecordingError) as unfinished:
@@ -63,10 +63,8 @@ def _draw_curve(axes: Axes, curve: ThrustCurve | str, model: LoopModel) -> None:
         axes.text(0.5, 0.5, _wrapped(curve), transform=axes.transAxes, ha="center")
     else:
         sizes = 10 + 60 * curve.count / curve.count.max()
-        axes.scatter(
-            curve.throttle, curve.thrust, s=sizes, color=colours.ORANGE, label="log, medians"
-        )
-        axes.plot(throttle, curve.at(throttle), color=colours.ORANGE, label="log, fitted")
+        axes.scatter(curve.throttle, curve.thrust, s=sizes, color=ORANGE, label="log, medians")
+        axes.plot(throttle, curve.at(throttle), color=ORANGE, label="log, fitted")
     axes.plot(
         throttle, model.specific_thrust(throttle), color=TEXT, linewidth=1.2,
         label=f"model {model.name}",
