@@ -19,6 +19,8 @@ TRAIL_STEPS = 5
 """The trail grows by this many steps at a time."""
 HEIGHT_M = 2.0
 """Obstacles have no top; they are drawn to here, or to the highest point of the flight."""
+WALL_ALPHA = 0.35
+"""Opacity of obstacles: what flies behind them is seen."""
 SURFACE_M = 0.1
 """Distance between neighbouring points on the surface of an obstacle."""
 
@@ -105,6 +107,12 @@ def rotor_places(scene: EpisodeScene) -> Float[np.ndarray, "4 3"]:
 def rotor_radius(arms: Float[np.ndarray, "4 3"]) -> float:
     """Radius [m] at which discs around the rotors nearly touch."""
     return 0.48 * float(min(np.linalg.norm(arms[0] - arms[1]), np.linalg.norm(arms[0] - arms[3])))
+
+
+def vehicle_ring() -> Float[np.ndarray, "n 3"]:
+    """A level circle around the vehicle, body frame [m]: no obstacle should come into it."""
+    angle = np.linspace(0, 2 * np.pi, 49)
+    return INFLATION_M * np.stack((np.cos(angle), np.sin(angle), 0 * angle), -1)
 
 
 def rotor_colours() -> list[str]:

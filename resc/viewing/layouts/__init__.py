@@ -57,10 +57,8 @@ def curves(reward_names: Sequence[str], tracks: Sequence[str] = ()) -> dict[str,
     }
     return {
         "Body rates [rad/s]": rates,
-        "Speed [m/s], thrust [N]": [
-            Curve("/state.speed", "speed"),
-            Curve("/command.collective_thrust", "commanded thrust"),
-        ],
+        "Speed [m/s]": [Curve("/state.speed", "speed")],
+        "Commanded thrust [N]": [Curve("/command.collective_thrust", "thrust")],
         "Reward terms": [Curve(f"/reward.terms.{name}", name) for name in reward_names],
         **(errors if "/drone/estimate" in tracks else {}),
     }
@@ -79,15 +77,15 @@ def topics(observations: Sequence[str], tracks: Sequence[str] = ()) -> dict[str,
         "/world/movers": {"visible": True},
         "/world/mover_points": {"visible": False},
         "/map/known": {"visible": True, "colorMode": "rgba-fields"},
-        "/plan/route": {**line, "lineWidth": 0.03, "gradient": list(ROUTE)},
+        "/plan/route": {**line, "lineWidth": 0.045, "gradient": list(ROUTE)},
     }
     trail = BESIDE_ESTIMATE if "/drone/estimate" in tracks else TRAIL
     return {
         **{topic: {"visible": False} for topic in hidden},
         **{topic: {"visible": True} for topic in shown},
         "/map/esdf_slice": {"visible": True, "colorMode": "rgba-fields"},
-        "/plan/path": {**line, "lineWidth": 0.02, "gradient": list(PLAN)},
-        "/drone/trail": {**line, "lineWidth": 0.04, "gradient": list(trail)},
+        "/plan/path": {**line, "lineWidth": 0.03, "gradient": list(PLAN)},
+        "/drone/trail": {**line, "lineWidth": 0.06, "gradient": list(trail)},
         "/plan/control_points": points,
         **{topic: points if topic.endswith("_points") else {"visible": True} for topic in seen},
         **{topic: beside[topic] for topic in tracks},
