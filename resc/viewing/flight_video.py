@@ -34,7 +34,7 @@ from resc.viewing.plot import obstacles_of
 
 FRAMES_HZ = 12.5
 """Frames of a second of flight, shown in real time."""
-EDGE_INCHES, DPI = 6.0, 80
+EDGE_INCHES, DPI = 6.4, 100
 SIDE_M, LEAST_M, EDGE_M = 1.0, 8.0, 0.3
 """Margin around a flight, the least width of what is shown, and the margin around a map."""
 VEHICLE_M = 0.3
