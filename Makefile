@@ -44,7 +44,7 @@ gpu: $(STAMP) ## Check on a GPU what can only be checked there, and measure it: 
 readers: $(STAMP) ## Install Rerun and the MCAP reader of web viewers (needs npm), read recordings with them.
 	npm install --silent --no-audit --no-fund --prefix .cache/node $(NODE_PACKAGES)
 	$(PY) -m pip install --quiet --disable-pip-version-check '$(RERUN)'
-	NODE_PATH="$$PWD/.cache/node/node_modules" $(PY) -m pytest -rs tests/recording/test_conformance.py tests/recording/test_rerun.py
+	NODE_PATH="$$PWD/.cache/node/node_modules" $(PY) -m pytest -rs tests/recording/test_conformance.py tests/viewing/test_rerun.py
 
 check: check-format check-lint check-types ## Check format, lint and types.
 

@@ -18,6 +18,7 @@ from resc.planning.control_points import control_points
 from resc.planning.grid import segment_is_free
 from resc.planning.searches.method import PreparedMap
 from resc.planning.searches.search import PlannedPath, Search
+from resc.viewing.colours import BLUE, VERMILION
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 ORIGIN_M = (0.0, 0.0)
@@ -68,9 +69,9 @@ def draw(flight: Flight, resolution_m: float, file: str) -> None:
     shade = 2 - flight.chart.blocked.astype(int) - flight.chart.occupancy
     extent = (0.0, width * resolution_m, 0.0, height * resolution_m)
     axes.imshow(shade, origin="lower", extent=extent, cmap="gray", vmin=-1)
-    axes.plot(*flight.path.points_m.T, color="tab:blue", label="path")
+    axes.plot(*flight.path.points_m.T, color=BLUE, label="path")
     points_m = (resample(flight, resolution_m, "visible") + 0.5) * resolution_m
-    axes.plot(*points_m[1:].T, "o", color="tab:orange", label="control points")
+    axes.plot(*points_m[1:].T, "o", color=VERMILION, label="control points")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     figure.legend(loc="outside upper center", ncols=2)
     figure.savefig(file, dpi=120)

@@ -17,7 +17,7 @@ from resc.evaluation.paired import Shared
 from resc.evaluation.recorded import Key, Recordings
 from resc.scenes.layout import Layout
 from resc.viewing.colours import BACKGROUND, COLLISION, DASHES, FRAME, LOST, PLAN, TEXT, VARIANTS
-from resc.viewing.map_picture import draw_obstacles
+from resc.viewing.map_picture import draw_obstacles, ring_entry
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -106,7 +106,7 @@ def _draw_maps(
         axes.set_title(f"map {flights['map'][0]}" if len(maps) > 1 else "", fontsize="small")
     names = [Line2D([], [], color=_colour(n), label=e.name) for n, e in enumerate(entrants)]
     route = Line2D([], [], color=PLAN, linewidth=0.8, linestyle=DASHES, label="control points")
-    _legend(figure, [*names, route, *_marks_of(maps, len(entrants))])
+    _legend(figure, [*names, route, ring_entry(), *_marks_of(maps, len(entrants))])
     figure.suptitle(title, fontsize=10)
     figure.savefig(path, dpi=DPI)
     plt.close(figure)
@@ -116,7 +116,7 @@ def _draw_map(
     axes: Axes, flights: pl.DataFrame, layout: Layout, recordings: Sequence[Recordings]
 ) -> None:
     """Obstacles, control points, and the paths of all entrants from the same starts."""
-    draw_obstacles(axes, layout, 0)
+    draw_obstacles(axes, layout.boxes_w[0].tolist(), layout.pillars_w[0].tolist())
     length = int(layout.route_length[0, 0])
     route = np.concatenate([layout.start_w[:1, :2], layout.route_w[0, :length, :2]])
     axes.plot(*route.T, color=PLAN, linewidth=0.8, linestyle=DASHES, zorder=2.5)

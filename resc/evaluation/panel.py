@@ -114,7 +114,7 @@ def draw_panel(axes: Axes, panel: Panel, norm: Normalize, mark_scale: float = 1.
         vmax=SHADE_M,
         interpolation="bilinear",
     )
-    draw_obstacles(axes, layout, first)
+    draw_obstacles(axes, layout.boxes_w[first].tolist(), layout.pillars_w[first].tolist())
     _draw_moving(axes, panel)
     _draw_plan(axes, flown.course, first, flown.column_radius_m)
     if panel.reference:

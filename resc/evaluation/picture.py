@@ -17,6 +17,7 @@ from resc.evaluation.panel import Flown, Panel, draw_panel
 from resc.evaluation.statistics import SceneReport
 from resc.evaluation.worst import slowness, worst_maps
 from resc.viewing.colours import BOUND, COLLISION, DASHES, LOST, MOVER, PLAN, SPEED
+from resc.viewing.map_picture import ring_entry
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -137,6 +138,7 @@ def _add_legend(figure: Figure, panels: Sequence[Panel]) -> None:
     ]
     if any(panel.reference for panel in panels):
         entries.insert(1, Line2D([], [], color=BOUND, linewidth=0.9, label="time-optimal"))
+    entries.append(ring_entry())
     if any(panel.moving for panel in panels):
         entries.append(Patch(facecolor=MOVER, label="moving, at the end"))
     failures = {fate for panel in panels for fate in panel.fates}
@@ -144,7 +146,7 @@ def _add_legend(figure: Figure, panels: Sequence[Panel]) -> None:
         entries.append(_mark("X", 7, "collision", face=COLLISION, edge="white"))
     if "other failure" in failures:
         entries.append(_mark("D", 6, "other failure", face=LOST, edge="white"))
-    figure.legend(handles=entries, loc="outside lower center", ncols=6, frameon=False, fontsize=9)
+    figure.legend(handles=entries, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
 
 
 def _mark(

@@ -7,18 +7,20 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
-from matplotlib.patches import Circle, Rectangle
 
 from resc.evaluation.references import Reference
-from resc.viewing.colours import BOUND, FRAME, OBSTACLE, PLAN, SPEED, TEXT
+from resc.viewing.colours import BOUND, FRAME, PLAN, SPEED, TEXT
+from resc.viewing.map_picture import draw_obstacles, ring_entry
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 PANELS = 16
 """Maps drawn, the first ones."""
+PILLAR = 3
+"""Numbers of a pillar; a box has four."""
 
 
 def draw_references(references: Sequence[Reference], path: Path) -> None:
@@ -39,19 +41,18 @@ def draw_references(references: Sequence[Reference], path: Path) -> None:
         bar = figure.colorbar(lines, ax=grid, fraction=0.03, pad=0.015, aspect=30, shrink=0.6)
         bar.set_label("speed of the time-optimal flight [m/s]")
         bar.outline.set_visible(False)
-        entries = grid[0, 0].get_legend_handles_labels()
-        figure.legend(*entries, loc="outside lower center", ncols=3, frameon=False)
+        entries, _ = grid[0, 0].get_legend_handles_labels()
+        ring = ring_entry(shown[0].crossing.limits.margin_m)
+        figure.legend(handles=[*entries, ring], loc="outside lower center", ncols=4, frameon=False)
         figure.savefig(path, dpi=150)
         plt.close(figure)
 
 
 def _draw(axes: Axes, reference: Reference, norm: Normalize) -> LineCollection:
     crossing = reference.crossing
-    shapes = [
-        Circle((x, y), *rest) if len(rest) == 1 else Rectangle((x, y), *rest)
-        for x, y, *rest in crossing.boxes
-    ]
-    axes.add_collection(PatchCollection(shapes, facecolor=OBSTACLE, edgecolor="none"))
+    boxes = [box for box in crossing.boxes if len(box) > PILLAR]
+    pillars = [box for box in crossing.boxes if len(box) == PILLAR]
+    draw_obstacles(axes, boxes, pillars, crossing.limits.margin_m)
     position, velocity, _ = reference.fastest.at(np.linspace(0, reference.fastest.duration_s, 200))
     pieces = list(np.stack((position[:-1, :2], position[1:, :2]), 1))
     lines = LineCollection(pieces, cmap=SPEED, norm=norm, linewidths=1.8, capstyle="round")

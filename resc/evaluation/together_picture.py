@@ -1,6 +1,7 @@
 """All pilots in one scene: their ways over its map, and their speeds over time."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 
 import matplotlib as mpl
@@ -11,13 +12,12 @@ from resc.evaluation.courses import Course
 from resc.evaluation.panel import distance_of, trace
 from resc.flying.flights import Flights
 from resc.maps.cells import extent_of
-from resc.viewing.colours import BACKGROUND, FRAME, PLAN, TEXT
-from resc.viewing.map_picture import SHADE_M, draw_obstacles
+from resc.viewing.colours import BACKGROUND, FRAME, PLAN, TEXT, VARIANTS
+from resc.viewing.map_picture import SHADE_M, draw_obstacles, ring_entry
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-COLOURS = mpl.colormaps["tab10"].colors  # pyright: ignore[reportAttributeAccessIssue]
 SIZE = (12.0, 5.4)
 
 
@@ -38,7 +38,7 @@ def draw_together(
             1, 2, figsize=SIZE, layout="constrained", width_ratios=(1, 1.25)
         )
         _draw_map(map_axes, course, resolution_m)
-        for colour, (name, flights) in zip(COLOURS, flown.items(), strict=False):
+        for colour, (name, flights) in zip(cycle(VARIANTS), flown.items()):
             for number in shown:
                 line, speed = trace(flights, number)
                 lost = not flights.success[number]
@@ -51,7 +51,8 @@ def draw_together(
         speed_axes.set(xlabel="time [s]", ylabel="speed [m/s]", **limits)
         speed_axes.grid(color=FRAME, linewidth=0.4, alpha=0.5)
         map_axes.set_title(course.name, loc="left", fontweight="bold")
-        figure.legend(loc="outside lower center", ncols=6, frameon=False)
+        named = [*speed_axes.get_legend_handles_labels()[0], ring_entry()]
+        figure.legend(handles=named, loc="outside lower center", ncols=6, frameon=False)
         figure.savefig(path, dpi=130)
         plt.close(figure)
 
@@ -80,7 +81,7 @@ def _draw_map(axes: Axes, course: Course, resolution_m: float) -> None:
         vmax=SHADE_M,
         interpolation="bilinear",
     )
-    draw_obstacles(axes, layout, 0)
+    draw_obstacles(axes, layout.boxes_w[0].tolist(), layout.pillars_w[0].tolist())
     last = int(layout.route_length[0, 0]) - 1
     for point, marker, size in (
         (layout.start_w[0], "o", 40),

@@ -166,7 +166,7 @@ def draw_transfer(lines: Sequence[Line], path: Path) -> None:
         least = [line.least_clearance_m for line in lines]
         clearance.barh(places, [line.median_clearance_m for line in lines], 0.62, color=BOUND)
         clearance.plot(least, places, "|", color=COLLISION, markersize=11, markeredgewidth=2)
-        clearance.set(xlabel="clearance [m]: median, least (red)")
+        clearance.set(xlabel="clearance [m]: median, least (mark)")
         for axes, nominal in zip(
             (success, time, clearance), (rates[0, 0], 1.0, lines[0].median_clearance_m), strict=True
         ):

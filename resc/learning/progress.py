@@ -9,18 +9,17 @@ from statistics import mean
 from typing import Any, Protocol, runtime_checkable
 
 import matplotlib as mpl
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 
 from resc.errors import ConfigError
+from resc.viewing.colours import ORDER, STYLES, TEXT, look
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 OWN_SCALE = ("crash",)
 """Terms of the reward that a rare event earns: at first they are larger than all others."""
-STYLES = ("solid", "dashed", "dotted")
-"""Of the lines of several difficulties."""
+COLUMNS = 3
 _BESIDE: dict[str, Any] = {
     "loc": "center left",
     "bbox_to_anchor": (1.0, 0.5),
@@ -149,16 +148,22 @@ def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
     eased, named = _named(rows, "difficulty/"), _named(rows, "reward/")
     alone = own_scale(named)
     count = 3 + bool(alone) + 2 * bool(eased)
-    figure, panels = plt.subplots(1, count, figsize=(13 / 3 * count, 3.6), layout="constrained")
-    rates, returns, terms, *others = panels
-    for name in _named(rows, "outcome/"):
-        rates.plot(frames, _column(rows, f"outcome/{name}"), label=name)
+    high = -(-count // COLUMNS)
+    figure, grid = plt.subplots(
+        high, COLUMNS, figsize=(15, 3.6 * high), layout="constrained", squeeze=False
+    )
+    panels = list(grid.flat)
+    for axes in panels[count:]:
+        axes.set_axis_off()
+    rates, returns, terms, *others = panels[:count]
+    for place, name in enumerate(_named(rows, "outcome/")):
+        rates.plot(frames, _column(rows, f"outcome/{name}"), label=name, **look(place))
     rates.set(ylabel="share of episodes", ylim=(0, 1), title="how episodes end")
     _add_legend(rates, **_BESIDE)
-    returns.plot(frames, _column(rows, "episode/return"), color="black")
+    returns.plot(frames, _column(rows, "episode/return"), color=TEXT)
     returns.set(title="return")
-    for name in (name for name in named if name not in alone):
-        terms.plot(frames, _column(rows, f"reward/{name}"), label=name)
+    for place, name in enumerate(name for name in named if name not in alone):
+        terms.plot(frames, _column(rows, f"reward/{name}"), label=name, **look(place))
     terms.set(title="reward terms per step")
     terms.set_yscale("symlog", linthresh=0.1, linscale=0.5)
     terms.yaxis.set_major_formatter("{x:g}")
@@ -166,14 +171,14 @@ def draw_learning_curve(rows: list[dict[str, float]], path: Path) -> None:
     if alone:
         crash = others.pop(0)
         for name in alone:
-            crash.plot(frames, _column(rows, f"reward/{name}"), label=name, color="black")
+            crash.plot(frames, _column(rows, f"reward/{name}"), label=name, color=TEXT)
         crash.set(title=f"{', '.join(alone)}, per step")
     for axes in panels[: 3 + bool(alone)]:
         axes.set(xlabel="frames [M]")
     if eased:
         _draw_difficulty(others[0], frames, rows, eased)
         _draw_success_by_difficulty(others[1], rows, eased)
-    for axes in panels:
+    for axes in panels[:count]:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(alpha=0.2)
     figure.savefig(path, dpi=110)
@@ -190,9 +195,10 @@ def _draw_difficulty(
 ) -> None:
     """Each difficulty against frames."""
     for name, style in zip(names, cycle(STYLES)):
-        axes.plot(frames, _column(rows, f"difficulty/{name}"), label=name, linestyle=style)
+        line = {"linestyle": style, "color": TEXT}
+        axes.plot(frames, _column(rows, f"difficulty/{name}"), label=name, **line)
     axes.set(xlabel="frames [M]", ylabel="difficulty", ylim=(-0.02, 1.02), title="curriculum")
-    _add_legend(axes, frameon=False, fontsize=8)
+    _add_legend(axes, **_BESIDE)
 
 
 def _draw_success_by_difficulty(axes: Axes, rows: list[dict[str, float]], names: list[str]) -> None:
@@ -206,12 +212,12 @@ def _draw_success_by_difficulty(axes: Axes, rows: list[dict[str, float]], names:
             centres = [sum(map(float, key.removeprefix(prefix).split("-"))) / 2 for key in bins]
             shares = [mean(row[key] for row in some if key in row) for key in bins]
             span = f"{some[0]['frames'] / 1e6:.2g} to {some[-1]['frames'] / 1e6:.2g} M"
-            colour = colormaps["viridis"](part / max(len(rows), 1))
+            colour = ORDER(part / max(len(rows), 1))
             label = f"{name}, {span}"
             axes.plot(centres, shares, marker="o", linestyle=style, color=colour, label=label)
     axes.set(xlabel="difficulty", ylabel="share that succeeds", xlim=(0, 1), ylim=(-0.02, 1.02))
     axes.set(title="success against difficulty")
-    _add_legend(axes, frameon=False, fontsize=8)
+    _add_legend(axes, **_BESIDE)
 
 
 def _named(rows: list[dict[str, float]], prefix: str) -> list[str]:

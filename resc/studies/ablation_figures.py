@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from resc.math.bootstrap import Estimate
 from resc.studies.ablation_analysis import Analysis, Result
 from resc.studies.study import SUCCESS, Sweep
-from resc.viewing.colours import VARIANTS
+from resc.viewing.colours import TEXT, VARIANTS
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -62,8 +62,8 @@ def _success(axes: Axes, sweep: Sweep, analysis: Analysis, looks: Looks) -> None
         colour = looks[result.variant].colour
         _bar(axes, result.iqm, row - 0.14, colour, marker="D", fill=colour)
         _bar(axes, result.success, row + 0.14, colour, marker="o", fill="white")
-    axes.plot([], [], "D", color="black", label="interquartile mean")
-    axes.plot([], [], "o", color="black", mfc="white", label="mean")
+    axes.plot([], [], "D", color=TEXT, label="interquartile mean")
+    axes.plot([], [], "o", color=TEXT, mfc="white", label="mean")
     axes.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 1.1), ncols=2)
     _name_rows(axes, results)
     axes.set(xlabel="held-out success [%], with 95 % intervals")
@@ -77,7 +77,7 @@ def _improvement(axes: Axes, sweep: Sweep, analysis: Analysis, looks: Looks) -> 
         look = looks[result.variant]
         axes.plot([value.low, value.high], [row, row], color=look.colour, lw=2)
         axes.plot([value.value], [row], "D", color=look.colour)
-    axes.axvline(0.5, color="black", lw=0.8, ls="--")
+    axes.axvline(0.5, color=TEXT, lw=0.8, ls="--")
     _name_rows(axes, results)
     axes.set(xlim=(-0.02, 1.02), xlabel=f"probability of doing better than {analysis.baseline}")
 
@@ -164,7 +164,7 @@ def _cost(axes: Axes, sweep: Sweep, analysis: Analysis, looks: Looks) -> None:
     for row, result in enumerate(results):
         axes.barh(row, result.step_us, 0.6, color=looks[result.variant].colour, alpha=0.75)
         own = [run.step_us for run in sweep.finished(result.variant)]
-        axes.plot(own, [row] * len(own), "|", color="black", ms=12)
+        axes.plot(own, [row] * len(own), "|", color=TEXT, ms=12)
     _name_rows(axes, results)
     axes.set(xlabel="time of an environment step in training [us], median and each run")
 

@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from resc.studies.study import short_keys
 from resc.studies.tuning_study import Tuning
-from resc.viewing.colours import TEXT, VARIANTS
+from resc.viewing.colours import FAILED, ORDER, TEXT, VARIANTS
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -53,9 +53,9 @@ def _history(axes: Axes, tuning: Tuning) -> None:
     axes.scatter(numbers, values, s=18, color=TRIED, label="trial", zorder=3)
     axes.step(numbers, np.maximum.accumulate(values), where="post", color=BEST, label="best so far")
     for number in tuning.failed:
-        axes.axvline(number, color="#bbbbbb", linewidth=0.8, zorder=1)
+        axes.axvline(number, color=FAILED, linewidth=0.8, zorder=1)
     if tuning.failed:
-        axes.plot([], [], color="#bbbbbb", linewidth=0.8, label="failed")
+        axes.plot([], [], color=FAILED, linewidth=0.8, label="failed")
     axes.set(xlabel="trial", ylabel=tuning.objective)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.legend(frameon=False, loc="lower right", fontsize=9)
@@ -75,7 +75,7 @@ def _slice(axes: Axes, tuning: Tuning, name: str) -> None:
     trials = [trial for trial in tuning.trials if name in trial.params]
     values = [trial.value for trial in trials]
     chosen = [trial.params[name] for trial in trials]
-    colours = plt.get_cmap("Blues")(np.linspace(0.35, 1.0, len(trials)))
+    colours = ORDER(np.linspace(1.0, 0.0, len(trials)))
     axes.scatter(chosen, values, s=16, c=colours, zorder=3)
     best = tuning.ranked[0]
     ring = {"facecolors": "none", "edgecolors": BEST, "linewidths": 1.6, "zorder": 4}

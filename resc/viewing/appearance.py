@@ -7,26 +7,26 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from resc import keys
+from resc.maps.constants import INFLATION_M
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.columns import REWARD_TERMS
+from resc.viewing.colours import FAR, FRONT, INFLATED, NEAR, NEXT, OBSTACLE, PASSED, ROTOR
 from resc.viewing.episode_scene import EpisodeScene
+from resc.viewing.map_picture import SHADE_M
 from resc.viewing.scalars import Numbers
 
 TRAIL_STEPS = 5
 """The trail grows by this many steps at a time."""
 HEIGHT_M = 2.0
 """Obstacles have no top; they are drawn to here, or to the highest point of the flight."""
+WALL_ALPHA = 0.35
+"""Opacity of obstacles: what flies behind them is seen."""
 SURFACE_M = 0.1
 """Distance between neighbouring points on the surface of an obstacle."""
-OBSTACLE, ROTOR, FRONT, NEXT, PASSED, GROUND = (
-    "#4a5768", "#20262e", "#d7263d", "#f2a900", "#9aa5b1", "#f4f6f9",
-)  # fmt: skip
-INFLATED_M, FAR_M = 0.3, 1.5
-"""The map is tinted up to the first distance, and as light as it gets from the second on."""
 
 
 def rgba(colour: str, alpha: float = 1.0) -> tuple[int, int, int, int]:
-    """Bytes of a colour such as `#1f6fb2`."""
+    """Bytes of a colour of `resc.viewing.colours`."""
     red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return red, green, blue, round(255 * alpha)
 
@@ -109,6 +109,12 @@ def rotor_radius(arms: Float[np.ndarray, "4 3"]) -> float:
     return 0.48 * float(min(np.linalg.norm(arms[0] - arms[1]), np.linalg.norm(arms[0] - arms[3])))
 
 
+def vehicle_ring() -> Float[np.ndarray, "n 3"]:
+    """A level circle around the vehicle, body frame [m]: no obstacle should come into it."""
+    angle = np.linspace(0, 2 * np.pi, 49)
+    return INFLATION_M * np.stack((np.cos(angle), np.sin(angle), 0 * angle), -1)
+
+
 def rotor_colours() -> list[str]:
     """Colour of each rotor; the front ones stand out."""
     return [FRONT, ROTOR, ROTOR, FRONT]
@@ -156,10 +162,10 @@ def pillar_surface(pillar: list[float], top: float) -> Float[np.ndarray, "n 3"]:
 
 def shades(distance: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 4"]:
     """Colours of the map: dark in obstacles, tinted in their inflation, light far from them."""
-    share = np.clip(distance / FAR_M, 0, 1)[..., None]
-    near, far = np.array(rgba("#b4c0d2")), np.array(rgba(GROUND))
+    share = np.clip(distance / SHADE_M, 0, 1)[..., None]
+    near, far = np.array(rgba(NEAR)), np.array(rgba(FAR))
     tint = near + share * (far - near)
-    tint = np.where((distance < INFLATED_M)[..., None], rgba("#d9a8a0"), tint)
+    tint = np.where((distance < INFLATION_M)[..., None], rgba(INFLATED), tint)
     return np.where((distance <= 0)[..., None], rgba(OBSTACLE), tint).astype(np.uint8)
 
 

@@ -26,14 +26,15 @@ from resc.recording.configuration import numbers_at
 from resc.recording.insight import KnownMap, Route
 from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
-from resc.viewing.colours import BACKGROUND, COLLISION, FRAME, PLAN, TEXT
-from resc.viewing.known_picture import RENEWED, draw_known
+from resc.viewing.colours import BACKGROUND, FRAME, PLAN, RENEWED, TEXT, TRUE, VIEW
+from resc.viewing.known_picture import draw_known
+from resc.viewing.map_picture import draw_obstacles
 from resc.viewing.moving import draw_movers, movers_of, places_of
-from resc.viewing.plot import draw_obstacles
+from resc.viewing.plot import obstacles_of
 
 FRAMES_HZ = 12.5
 """Frames of a second of flight, shown in real time."""
-EDGE_INCHES, DPI = 6.0, 80
+EDGE_INCHES, DPI = 6.4, 100
 SIDE_M, LEAST_M, EDGE_M = 1.0, 8.0, 0.3
 """Margin around a flight, the least width of what is shown, and the margin around a map."""
 VEHICLE_M = 0.3
@@ -146,7 +147,7 @@ def write_video(log: RolloutLog, episode: int, path: Path) -> Path:
 
 def _draw_ground(axes: Axes, flight: _Flight) -> None:
     """What stays: obstacles, start and goal."""
-    draw_obstacles(axes, flight.scene, 0.0)
+    draw_obstacles(axes, *obstacles_of(flight.scene))
     west, east, south, north = flight.window
     axes.set(xlim=(west, east), ylim=(south, north), aspect="equal", autoscale_on=False)
     axes.set(xlabel="x [m]", ylabel="y [m]", facecolor=BACKGROUND(1.0))
@@ -176,12 +177,12 @@ def _draw_frame(axes: Axes, flight: _Flight, step: int) -> list[Artist]:
     drawn += axes.plot(*way.T, color=colour, linewidth=1.2, linestyle="--", zorder=2.5)
     drawn += axes.plot(*ahead.T, "o", color=colour, markersize=4, zorder=2.6)
     drawn += axes.plot(*ahead[:2].T, "o", mfc="none", mec=colour, markersize=9, zorder=2.6)
-    drawn += axes.plot(*flight.position[: step + 1, :2].T, color=COLLISION, linewidth=1.6, zorder=3)
+    drawn += axes.plot(*flight.position[: step + 1, :2].T, color=TRUE, linewidth=1.6, zorder=3)
     if flight.view:
         range_m, angle = flight.view
         half = math.degrees(angle) / 2
         turned = math.degrees(yaw)
-        edge = {"facecolor": "#f2c14e", "alpha": 0.22, "edgecolor": "none", "zorder": 2.0}
+        edge = {"facecolor": VIEW, "alpha": 0.22, "edgecolor": "none", "zorder": 2.0}
         drawn.append(axes.add_patch(Wedge(here, range_m, turned - half, turned + half, **edge)))
     drawn.append(axes.add_patch(_vehicle(here, yaw)))
     axes.set_title(_caption(flight, step, number), fontsize=9, color=TEXT, loc="left")

@@ -28,9 +28,8 @@ from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
 from resc.viewing import layouts
 from resc.viewing.appearance import (
-    OBSTACLE,
-    ROTOR,
     TRAIL_STEPS,
+    WALL_ALPHA,
     map_centres,
     obstacle_surface,
     pillar_surface,
@@ -43,8 +42,9 @@ from resc.viewing.appearance import (
     scene_numbers,
     shades,
     top_of_obstacles,
+    vehicle_ring,
 )
-from resc.viewing.colours import MEASURED, MOVER
+from resc.viewing.colours import FRONT, MEASURED, MOVER, OBSTACLE, ROTOR
 from resc.viewing.episode_scene import CONFIG, EpisodeScene, load_scene
 from resc.viewing.foxglove_messages import (
     LINE_KINDS,
@@ -52,6 +52,7 @@ from resc.viewing.foxglove_messages import (
     cylinder,
     entity,
     grid,
+    outline,
     paint,
     point_cloud,
     pose,
@@ -217,12 +218,10 @@ def _static(scene: EpisodeScene) -> Iterator[tuple[str, _Encodes]]:
     yield "/drone/body", _body(arms)
     top = top_of_obstacles(scene)
     boxes = place.boxes.tolist()
-    cubes = [
-        cube((x + dx / 2, y + dy / 2, top / 2), (dx, dy, top), paint(OBSTACLE))
-        for x, y, dx, dy in boxes
-    ]
+    wall = paint(OBSTACLE, WALL_ALPHA)
+    cubes = [cube((x + dx / 2, y + dy / 2, top / 2), (dx, dy, top), wall) for x, y, dx, dy in boxes]
     pillars = place.pillars.tolist()
-    rounds = [cylinder((x, y, top / 2), radius, top, paint(OBSTACLE)) for x, y, radius in pillars]
+    rounds = [cylinder((x, y, top / 2), radius, top, wall) for x, y, radius in pillars]
     yield "/world/obstacles", entity("obstacles", cubes=cubes, cylinders=rounds)
     surfaces = [obstacle_surface(box, top) for box in boxes]
     surfaces += [pillar_surface(pillar, top) for pillar in pillars]
@@ -312,7 +311,7 @@ def _movers(scene: EpisodeScene, times: list[int]) -> Iterator[tuple[int, str, _
     place, top = scene.place, top_of_obstacles(scene)
     if not len(place.movers):
         return
-    halves, tint = place.movers[:, 4:6].tolist(), paint(MOVER)
+    halves, tint = place.movers[:, 4:6].tolist(), paint(MOVER, WALL_ALPHA)
     shapes = [
         obstacle_surface([-x, -y, 2 * x, 2 * y], top) if y else pillar_surface([0.0, 0.0, x], top)
         for x, y in halves
@@ -340,7 +339,8 @@ def _body(arms: Float[np.ndarray, "4 3"]) -> SceneUpdate:
         for arm, colour in zip(arms.tolist(), rotor_colours(), strict=True)
     ]
     hull = cube((0.0, 0.0, 0.0), (arms[0, 0] * 1.4, arms[0, 0] * 0.8, 0.05), paint(ROTOR))
-    return entity("drone", frame=DRONE, cylinders=discs, cubes=[hull])
+    ring = outline(vehicle_ring().tolist(), paint(FRONT))
+    return entity("drone", frame=DRONE, cylinders=discs, cubes=[hull], lines=[ring])
 
 
 def _columns(scene: EpisodeScene, passed: int, now: int) -> SceneUpdate:

@@ -34,8 +34,8 @@ from resc.viewing.sight import colour_of
 LEVEL = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 HERE = Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=LEVEL)
 FOREVER = Duration(0)
-RAY_M, EDGE_M = 0.01, 0.02
-"""Thickness of lines [m]."""
+RAY_PX, EDGE_PX = 1.5, 3.0
+"""Thickness of lines on the screen: they are seen from afar and stay thin near."""
 SECTOR_ALPHA = 0.15
 LINE_KINDS = ("edges", "free", "rays", "arrow", "outline")
 
@@ -66,7 +66,7 @@ def stamp(time_ns: int) -> Timestamp:
 
 
 def paint(colour: str, alpha: float = 1.0) -> Color:
-    """A colour such as `#1f6fb2`."""
+    """A colour as messages have it."""
     red, green, blue, opacity = (channel / 255 for channel in rgba(colour, alpha))
     return Color(r=red, g=green, b=blue, a=opacity)
 
@@ -154,6 +154,12 @@ def grid(
     )
 
 
+def outline(places: Sequence[Sequence[float]], colour: Color) -> LinePrimitive:
+    """A thin line through places."""
+    points = [Point3(x=x, y=y, z=z) for x, y, z in places]
+    return _line(points, LinePrimitiveLineType.LineStrip, RAY_PX, colour)
+
+
 def entity(name: str, *, time_ns: int = 0, frame: str = "world", **primitives: list) -> SceneUpdate:
     """One entity that replaces the last of its name, and stays until it is replaced."""
     return SceneUpdate(
@@ -194,10 +200,10 @@ def sight_lines(
             if not ends:
                 continue
             if kind == "outline":
-                lines.append(_line(ends, LinePrimitiveLineType.LineStrip, RAY_M, colour))
+                lines.append(_line(ends, LinePrimitiveLineType.LineStrip, RAY_PX, colour))
                 continue
             rays = [point for end in ends for point in (origin, end)]
-            thickness = RAY_M if kind in ("rays", "free") else EDGE_M
+            thickness = RAY_PX if kind in ("rays", "free") else EDGE_PX
             lines.append(_line(rays, LinePrimitiveLineType.LineList, thickness, colour))
             if kind == "edges":
                 sector = [origin, *ends]
@@ -228,4 +234,6 @@ def sight_points(
 def _line(
     points: list[Point3], kind: LinePrimitiveLineType, thickness: float, colour: Color
 ) -> LinePrimitive:
-    return LinePrimitive(type=kind, pose=HERE, thickness=thickness, points=points, color=colour)
+    return LinePrimitive(
+        type=kind, pose=HERE, thickness=thickness, scale_invariant=True, points=points, color=colour
+    )

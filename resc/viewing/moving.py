@@ -10,9 +10,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle, Patch, Rectangle
 from torch import Tensor
 
+from resc.maps.constants import INFLATION_M
 from resc.maps.movers import motion
 from resc.scenes.layout import PARKED_M
-from resc.viewing.colours import MOVER
+from resc.viewing.colours import INFLATED, MOVER
+from resc.viewing.map_picture import RING_ORDER, ring_of_box
 
 TRAIL = 0.5
 """Width of the lines along which movers came."""
@@ -31,15 +33,22 @@ def places_of(movers: Float[Tensor, "o 10"], steps: int, dt_s: float) -> Float[T
 
 
 def draw_movers(
-    axes: Axes, movers: Float[Tensor, "o 10"], centres: Float[Tensor, "o 2"]
+    axes: Axes,
+    movers: Float[Tensor, "o 10"],
+    centres: Float[Tensor, "o 2"],
+    ring_m: float = INFLATION_M,
 ) -> list[Artist]:
-    """Boxes and discs where the movers are; returns what was drawn."""
+    """Boxes and discs where the movers are, a ring around each; returns what was drawn."""
     drawn: list[Artist] = []
     for (x, y), (half_x, half_y) in zip(centres.tolist(), movers[:, 4:6].tolist(), strict=True):
         style = {"facecolor": MOVER, "edgecolor": "none", "zorder": 1.6}
         corner, edges = (x - half_x, y - half_y), (2 * half_x, 2 * half_y)
-        shape = Rectangle(corner, *edges, **style) if half_y else Circle((x, y), half_x, **style)
-        drawn.append(axes.add_patch(shape))
+        if half_y:
+            shape, ring = Rectangle(corner, *edges, **style), ring_of_box(corner, *edges, ring_m)
+        else:
+            shape, ring = Circle((x, y), half_x, **style), Circle((x, y), half_x + ring_m)
+        ring.set(facecolor=INFLATED, edgecolor="none", zorder=RING_ORDER)
+        drawn += [axes.add_patch(ring), axes.add_patch(shape)]
     return drawn
 
 

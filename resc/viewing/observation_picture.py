@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 from torch import Tensor
@@ -27,9 +28,19 @@ from resc.scenes.layout import rasterize
 from resc.sights import Shape
 from resc.starting.launch import answering
 from resc.term import Context, Observation
-from resc.viewing.colours import BACKGROUND, FRAME, OBSTACLE, PLAN, TEXT
+from resc.viewing.colours import (
+    BACKGROUND,
+    FIRST,
+    FRAME,
+    INFLATED,
+    MOVING,
+    OBSTACLE,
+    PLAN,
+    SECOND,
+    TEXT,
+)
 from resc.viewing.map_picture import SHADE_M
-from resc.viewing.sight import FIRST, MOVING, SECOND, colour_of, seen_by
+from resc.viewing.sight import colour_of, seen_by
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -108,7 +119,7 @@ def _draw_map(axes: Axes, esdf: Float[Tensor, "1 h w"]) -> None:
     )
     inflated = (esdf[0] < OCCUPIED_M).numpy()
     axes.imshow(
-        [[(0.22, 0.26, 0.31, 0.28 * float(cell)) for cell in row] for row in inflated],
+        [[(*to_rgb(INFLATED), float(cell)) for cell in row] for row in inflated],
         extent=extent,
         origin="lower",
     )

@@ -8,15 +8,16 @@ import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyBboxPatch, Patch, Rectangle
+from matplotlib.patches import Patch
 from tensordict import TensorDict
 from torch import Tensor
 
 from resc import keys
 from resc.errors import RecordingError
+from resc.maps.constants import INFLATION_M
 from resc.math.rotation import euler_from_quaternion
 from resc.recording.columns import FLOWN, REAL, REWARD_TERMS, require_columns
 from resc.recording.commands import rate_command
@@ -25,14 +26,15 @@ from resc.recording.insight import Route
 from resc.recording.reader import RolloutLog
 from resc.run_folder import replacing
 from resc.viewing.colours import (
+    AXES,
     BACKGROUND,
     COLLISION,
     DASHES,
     FRAME,
-    OBSTACLE,
     PLAN,
     SPEED,
     TEXT,
+    look,
 )
 from resc.viewing.estimate_picture import (
     draw_estimate,
@@ -41,17 +43,15 @@ from resc.viewing.estimate_picture import (
     is_estimated,
 )
 from resc.viewing.known_picture import draw_known, draw_routes, legend_entries
+from resc.viewing.map_picture import draw_obstacles, ring_entry
 from resc.viewing.moving import draw_movers, draw_trails, movers_of, places_of
 
-_COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
-"""Of x, y, z and of roll, pitch, yaw: as coordinate axes are drawn."""
 _MARGIN_M, _LEAST_M = 1.5, 6.0
 """What is shown around a flight and its route, and the least width of it."""
 _COLLISIONS = (
     "resc.terms.terminations.collision.Collision",
     "resc.terms.terminations.contact.Contact",
 )
-_INFLATED = ("#d9a8a0", 0.55)
 _OUTLIER = 5.0
 """A last step that changes a sum of rewards by so many times what any before it did is an end."""
 _BESIDE = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
@@ -128,7 +128,7 @@ def draw_episode(log: RolloutLog, episode: int, path: Path) -> None:
         routes, maps = log.routes(episode), log.known_maps(episode)
         movers = movers_of(scene)
         places = places_of(movers, len(steps), log.dt_s)
-        draw_movers(axes, movers, places[-1])
+        draw_movers(axes, movers, places[-1], inflation or INFLATION_M)
         moving = draw_trails(axes, places)
         _draw_map(figure, axes, scene, steps, inflation, routes, bool(maps), moving)
         if maps:
@@ -190,7 +190,8 @@ def _draw_map(
 ) -> None:
     position = _tensor(steps, keys.POSITION_W)[:, :2].numpy()
     speed = _tensor(steps, keys.VELOCITY_W).norm(dim=-1).numpy()
-    around = draw_obstacles(axes, scene, inflation)
+    ring_m = inflation or INFLATION_M
+    draw_obstacles(axes, *obstacles_of(scene), ring_m)
     route = scene["route_w"][: int(scene["route_length"]), :2].numpy()
     planned = np.concatenate((scene["start_w"][None, :2].numpy(), route))
     if routes:
@@ -210,9 +211,9 @@ def _draw_map(
     axes.add_collection(lines)
     draw_tracks(axes, steps)
     told = legend_entries(routes, known)
-    named = [*around, *moving, *axes.get_legend_handles_labels()[0], *told]
-    if named:
-        axes.legend(handles=named, loc="upper left", fontsize="small", framealpha=0.8)
+    ring = ring_entry(ring_m, ends=inflation > 0)
+    named = [ring, *moving, *axes.get_legend_handles_labels()[0], *told]
+    axes.legend(handles=named, loc="upper left", fontsize="small", framealpha=0.8)
     mark = {"edgecolors": "white", "linewidths": 0.8, "zorder": 6}
     axes.scatter(*position[-1], s=50, marker="D", c=COLLISION, **mark)
     shown = np.concatenate((position, planned))
@@ -226,24 +227,10 @@ def _draw_map(
     _quiet(axes)
 
 
-def draw_obstacles(axes: Axes, scene: Mapping[str, Tensor], inflation: float) -> list[Patch]:
-    """Columns, and around them where a flight ends as a collision; returns what a legend needs."""
-    boxes = [((x, y), dx, dy) for x, y, dx, dy in scene["boxes_w"].tolist() if dx > 0 and dy > 0]
-    pillars = scene["pillars_w"].tolist() if "pillars_w" in scene else []  # not in older recordings
-    pillars = [((x, y), radius) for x, y, radius in pillars if radius > 0]
-    named: list[Patch] = []
-    if inflation > 0 and (boxes or pillars):
-        style = f"round,pad={inflation},rounding_size={inflation}"
-        flat = {"facecolor": _INFLATED, "edgecolor": "none"}
-        for box in boxes:
-            axes.add_patch(FancyBboxPatch(*box, boxstyle=style, **flat))
-        for centre, radius in pillars:
-            axes.add_patch(Circle(centre, radius + inflation, **flat))
-        label = f"collision: within {inflation:g} m of an obstacle"
-        named.append(Patch(facecolor=_INFLATED, label=label))
-    shapes = [*(Rectangle(*box) for box in boxes), *(Circle(*pillar) for pillar in pillars)]
-    axes.add_collection(PatchCollection(shapes, facecolor=OBSTACLE, edgecolor="none", zorder=1.5))
-    return named
+def obstacles_of(scene: Mapping[str, Tensor]) -> tuple[list[list[float]], list[list[float]]]:
+    """Boxes and pillars of a recorded scene; older recordings have no pillars."""
+    pillars = scene["pillars_w"].tolist() if "pillars_w" in scene else []
+    return scene["boxes_w"].tolist(), pillars
 
 
 def _draw_rates(
@@ -254,7 +241,7 @@ def _draw_rates(
     label: str,
 ) -> None:
     for i, (axes, name) in enumerate(zip(places, ("roll", "pitch", "yaw"), strict=True)):
-        axes.plot(time, rates[:, i], color=_COLOURS[i], linewidth=2.0, label=label)
+        axes.plot(time, rates[:, i], color=AXES[i], linewidth=2.0, label=label)
         if commanded is not None:
             axes.plot(time, commanded[:, i], color=TEXT, linewidth=0.8, label="commanded")
         _dress(axes, f"{name} rate [rad/s]", _end(time))
@@ -326,7 +313,7 @@ def _draw_triple(
     names: Sequence[str],
 ) -> None:
     for i, name in enumerate(names):
-        axes.plot(time, values[:, i], color=_COLOURS[i], label=name)
+        axes.plot(time, values[:, i], color=AXES[i], label=name)
 
 
 def _draw_rewards(
@@ -336,9 +323,8 @@ def _draw_rewards(
     names = next((c.components for c in log.columns if c.key == REWARD_TERMS), ())
     sums = _tensor(steps, REWARD_TERMS).cumsum(0).numpy() if names else np.zeros((len(time), 0))
     shown = [i for i in range(len(names)) if np.abs(sums[:, i]).max() > 0]
-    palette = mpl.colormaps["tab10"]
     for place, i in enumerate(shown):
-        axes.plot(time, sums[:, i], color=palette(place), label=f"{names[i]} {sums[-1, i]:.2f}")
+        axes.plot(time, sums[:, i], label=f"{names[i]} {sums[-1, i]:.2f}", **look(place))
     total = _tensor(steps, keys.REWARD)[:, 0].cumsum(0).numpy()
     axes.plot(time, total, color=TEXT, linewidth=1.6, label=f"return {total[-1]:.2f}")
     _dress(axes, "reward, summed", _end(time), legend={**_BESIDE, "title": "at the end"})

@@ -11,9 +11,7 @@ from matplotlib.figure import Figure
 from resc.errors import ConfigError
 from resc.flight_logs.rate_steps import Step
 from resc.run_folder import replacing
-from resc.viewing.colours import FRAME, TEXT
-
-RECORDED, MODELLED = "#1f5fa8", "#c1272d"
+from resc.viewing.colours import FRAME, MODELLED, RECORDED, TEXT
 
 
 def draw_steps(steps: Sequence[Step], path: Path) -> None:

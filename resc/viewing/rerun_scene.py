@@ -15,10 +15,8 @@ from resc.run_folder import replacing
 from resc.sights import Shape
 from resc.viewing import layouts
 from resc.viewing.appearance import (
-    FRONT,
-    NEXT,
-    OBSTACLE,
     TRAIL_STEPS,
+    WALL_ALPHA,
     rgba,
     rotor_colours,
     rotor_places,
@@ -27,25 +25,35 @@ from resc.viewing.appearance import (
     scene_numbers,
     shades,
     top_of_obstacles,
+    vehicle_ring,
 )
-from resc.viewing.colours import ESTIMATED, MEASURED, MOVER
+from resc.viewing.colours import (
+    AXES,
+    ESTIMATED,
+    FRONT,
+    MEASURED,
+    MOVER,
+    OBSTACLE,
+    PLAN,
+    RENEWED,
+    ROTOR,
+)
 from resc.viewing.episode_scene import EpisodeScene, load_scene
 from resc.viewing.foxglove import KNOWN_M
-from resc.viewing.known_picture import RENEWED, shaded
+from resc.viewing.known_picture import shaded
 from resc.viewing.scalars import Numbers
 from resc.viewing.sight import colour_of
 
 APPLICATION = "resc"
-LINE_M, RAY_M, DOT_M, TRAIL_M, ROUTE_M = 0.006, 0.004, 0.035, 0.015, 0.012
+DOT_M, ARM_M = 0.035, 0.012
 """Radii [m]."""
-TRACK, FRAME = -1.2, -2.0
-"""Radii on the screen, which Rerun takes negative: tracks millimetres apart stay so from near."""
-EYE = np.array((0.0, -0.5, 1.35))
+PLANNED, EDGE, RAY, TRAIL, TRACK, FRAME = -1.0, -1.6, -0.8, -2.0, -1.2, -2.0
+"""Radii on the screen, which Rerun takes negative: lines are seen from afar and stay thin near."""
+EYE = np.array((0.0, -0.47, 1.15))
 """Where the camera is, from the middle of the route, in lengths of it."""
 SCENE = ("/world/**", "/map/**", "/plan/**", "/drone/**", "/observation/**")
 DIMMED = 0.45
 """Opacity of commanded rates beside true ones."""
-AXIS_COLOURS = {"x": "#d7263d", "y": "#1b8a5a", "z": "#1f6fb2"}
 
 
 def write_rerun(
@@ -67,7 +75,7 @@ def write_rerun(
     stream = rr.RecordingStream(APPLICATION, recording_id=f"{log.files[0].stem}#{episode}")
     # Through memory: on a full disk, Rerun's own writer waits forever or says nothing.
     memory = stream.memory_recording()
-    stream.send_blueprint(_blueprint(scene), make_active=False)
+    stream.send_blueprint(_blueprint(scene), make_active=True)
     _send(stream, scene)
     with replacing(path, RecordingError) as unfinished:
         unfinished.write_bytes(memory.drain_as_bytes())
@@ -91,7 +99,7 @@ def _send(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
         _send_sight(stream, f"/observation/{name}", seen, scene, times)
     for path, values in _curves(scene_numbers(scene)):
         stream.send_columns(path, [times], rr.Scalars.columns(scalars=values))
-    for axis, colour in AXIS_COLOURS.items():
+    for axis, colour in zip("xyz", AXES, strict=True):
         for topic, name, alpha in (("state", "true", 1.0), ("command", "commanded", DIMMED)):
             style = rr.SeriesLines(colors=[rgba(colour, alpha)], names=[f"{axis} {name}"])
             stream.log(f"/{topic}/body_rate/{axis}", style, static=True)
@@ -113,7 +121,9 @@ def _send_place(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     boxes = place.boxes.numpy()
     size = np.pad(boxes[:, 2:], ((0, 0), (0, 1)), constant_values=top)
     corner = np.pad(boxes[:, :2], ((0, 0), (0, 1)))
-    obstacles = rr.Boxes3D(mins=corner, sizes=size, colors=[rgba(OBSTACLE)], fill_mode="solid")
+    obstacles = rr.Boxes3D(
+        mins=corner, sizes=size, colors=[rgba(OBSTACLE, WALL_ALPHA)], fill_mode="solid"
+    )
     stream.log("/world/obstacles", obstacles, static=True)
     if len(place.pillars):
         pillars = place.pillars.numpy()
@@ -122,13 +132,13 @@ def _send_place(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
             centers=centre,
             lengths=np.full(len(pillars), top),
             radii=pillars[:, 2],
-            colors=[rgba(OBSTACLE)],
+            colors=[rgba(OBSTACLE, WALL_ALPHA)],
             fill_mode="solid",
         )
         stream.log("/world/pillars", shape, static=True)
     stream.log("/map/esdf", _ground(scene, shades(place.esdf.numpy())), static=True)
     plan = np.concatenate((place.start.numpy()[None], place.route.numpy()))
-    path = rr.LineStrips3D([plan], colors=[rgba(NEXT)], radii=[LINE_M])
+    path = rr.LineStrips3D([plan], colors=[rgba(PLAN)], radii=[PLANNED])
     stream.log("/plan/path", path, static=True)
 
 
@@ -138,7 +148,7 @@ def _send_movers(stream: rr.RecordingStream, scene: EpisodeScene, times: rr.Time
     movers, places = scene.place.movers.numpy(), scene.mover_places.numpy()
     middle = np.pad(places, ((0, 0), (0, 0), (0, 1)), constant_values=top / 2)
     discs = movers[:, 5] == 0
-    style = {"colors": [rgba(MOVER)], "fill_mode": "solid"}
+    style = {"colors": [rgba(MOVER, WALL_ALPHA)], "fill_mode": "solid"}
     if discs.any():
         radii = movers[discs, 4]
         shape = rr.Cylinders3D.from_fields(lengths=np.full(len(radii), top), radii=radii, **style)
@@ -196,7 +206,7 @@ def _send_learnt(stream: rr.RecordingStream, scene: EpisodeScene) -> None:
     for route in scene.routes:
         line = np.concatenate((position[route.step][None], route.points))
         stream.set_time("time", duration=route.step * scene.dt_s)
-        stream.log("/plan/route", rr.LineStrips3D([line], colors=[rgba(RENEWED)], radii=[ROUTE_M]))
+        stream.log("/plan/route", rr.LineStrips3D([line], colors=[rgba(RENEWED)], radii=[EDGE]))
     stream.reset_time()
 
 
@@ -233,13 +243,17 @@ def _send_vehicle(stream: rr.RecordingStream, scene: EpisodeScene, times: rr.Tim
         fill_mode="solid",
     )
     stream.log("/drone/rotors", discs, static=True)
-    spokes = rr.LineStrips3D([(arms[0], arms[2]), (arms[1], arms[3])], radii=[0.01])
+    spokes = rr.LineStrips3D(
+        [(arms[0], arms[2]), (arms[1], arms[3])], radii=[ARM_M], colors=[rgba(ROTOR)]
+    )
     stream.log("/drone/arms", spokes, static=True)
+    ring = rr.LineStrips3D([vehicle_ring()], colors=[rgba(FRONT)], radii=[PLANNED])
+    stream.log("/drone/inflation", ring, static=True)
     steps = [*range(1, len(scene), TRAIL_STEPS), len(scene) - 1]
     strips = [position[: step + 1] for step in steps]
     count = len(steps)
     alone = scene.path(keys.ESTIMATED_POSITION_W) is None
-    radius = TRAIL_M if alone else TRACK
+    radius = TRAIL if alone else TRACK
     trail = rr.LineStrips3D.columns(
         strips=strips, colors=[rgba(FRONT)] * count, radii=[radius] * count
     )
@@ -280,7 +294,7 @@ def _style(shape: Shape) -> rr.Points3D | rr.LineStrips3D:
     """Colour and radius of a shape, for all steps."""
     if shape.kind in ("dots", "diamonds"):
         return rr.Points3D.from_fields(colors=[rgba(colour_of(shape))], radii=[DOT_M])
-    radius = RAY_M if shape.kind in ("rays", "free") else LINE_M
+    radius = RAY if shape.kind in ("rays", "free") else EDGE
     return rr.LineStrips3D.from_fields(colors=[rgba(colour_of(shape))], radii=[radius])
 
 
@@ -303,7 +317,10 @@ def _blueprint(scene: EpisodeScene) -> rrb.Blueprint:
     tracks = () if scene.path(keys.ESTIMATED_POSITION_W) is None else ("/drone/estimate",)
     plots = [
         rrb.TimeSeriesView(
-            name=title, origin="/", contents=[curve.path.replace(".", "/") for curve in curves]
+            name=title,
+            origin="/",
+            contents=[curve.path.replace(".", "/") for curve in curves],
+            plot_legend=rrb.PlotLegend(visible=len(curves) > 1),
         )
         for title, curves in layouts.curves(scene.reward_names, tracks).items()
     ]

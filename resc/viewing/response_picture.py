@@ -13,9 +13,9 @@ from resc.flight_logs.models import LoopModel
 from resc.flight_logs.rate_response import AXES, AxisResult, Response
 from resc.flight_logs.thrust_curve import GRAVITY_MPS2, ThrustCurve
 from resc.run_folder import replacing
-from resc.viewing.colours import FRAME, TEXT
+from resc.viewing.colours import AXES as HUES
+from resc.viewing.colours import FRAME, ORANGE, TEXT
 
-_COLOURS = ("#c1272d", "#1b7f3b", "#1f5fa8")
 _MOST_LINES = 60
 
 
@@ -31,7 +31,7 @@ def draw_responses(
         figure = Figure(figsize=(12, 7.5), layout="constrained")
         places = figure.subplots(2, 2)
         for i, axes in enumerate(places.flat[:3]):
-            _draw_axis(axes, results[i], AXES[i], _COLOURS[i], model.name)
+            _draw_axis(axes, results[i], AXES[i], HUES[i], model.name)
         _draw_curve(places[1, 1], curve, model)
         figure.suptitle(f"{name}: response to rate set-points, and thrust")
         with replacing(path, RecordingError) as unfinished:
@@ -63,8 +63,8 @@ def _draw_curve(axes: Axes, curve: ThrustCurve | str, model: LoopModel) -> None:
         axes.text(0.5, 0.5, _wrapped(curve), transform=axes.transAxes, ha="center")
     else:
         sizes = 10 + 60 * curve.count / curve.count.max()
-        axes.scatter(curve.throttle, curve.thrust, s=sizes, color="#8a5a00", label="log, medians")
-        axes.plot(throttle, curve.at(throttle), color="#8a5a00", label="log, fitted")
+        axes.scatter(curve.throttle, curve.thrust, s=sizes, color=ORANGE, label="log, medians")
+        axes.plot(throttle, curve.at(throttle), color=ORANGE, label="log, fitted")
     axes.plot(
         throttle, model.specific_thrust(throttle), color=TEXT, linewidth=1.2,
         label=f"model {model.name}",

@@ -55,7 +55,7 @@ def draw(path: Path, scene: Mapping[str, Any], examples: int, allowed: list[str]
 
 
 def _draw_one(axes: Axes, layout: Layout, number: int) -> None:
-    draw_obstacles(axes, layout, number)
+    draw_obstacles(axes, layout.boxes_w[number].tolist(), layout.pillars_w[number].tolist())
     length = int(layout.route_length[number, 0])
     way = torch.cat((layout.start_w[number, None], layout.route_w[number, :length]))[:, :2]
     x, y = way.T.tolist()

@@ -10,15 +10,14 @@ from resc.errors import ConfigError
 from resc.math.rotation import heading
 from resc.sights import Pose, Shape
 from resc.term import Context, Observation
+from resc.viewing.colours import FIRST, FRAME, MOVING, PLAN, SECOND
 
-FIRST, SECOND, MOVING = "#1f6fb2", "#1b8a5a", "#d7263d"
-"""Colours of what is seen toward the control points, and along the velocity or the heading."""
 COLOURS = {
     "first": FIRST,
     "second": SECOND,
     "velocity": MOVING,
-    "ray": "#8a94a3",
-    "point": "#20262e",
+    "ray": FRAME,
+    "point": PLAN,
     "measured": FIRST,
     "lost": MOVING,
 }

@@ -1,6 +1,7 @@
 """An environment from above, as it is now: obstacles, route, vehicle and the way it has come."""
 
 import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
@@ -11,10 +12,11 @@ from torch import Tensor
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
+from resc.maps.constants import INFLATION_M
 from resc.maps.movers import motion
 from resc.math.rotation import heading
 from resc.scenes.layout import PARKED_M
-from resc.viewing.colours import BACKGROUND, MOVER, OBSTACLE, PLAN, TRUE
+from resc.viewing.colours import BACKGROUND, INFLATED, MOVER, OBSTACLE, PLAN, TRUE
 
 EDGE_PX = 480
 """Of the longer side of a frame."""
@@ -25,6 +27,7 @@ VEHICLE_PX, POINT_PX, LINE_PX = 11.0, 3.0, 1.5
 ARROW = ((1.0, 0.0), (-0.7, 0.65), (-0.35, 0.0), (-0.7, -0.65))
 """Outline of the vehicle, forward first, in half lengths."""
 Points = Float[np.ndarray, "k 2"]
+Columns = Iterable[Sequence[float]]
 
 
 class TopView:
@@ -59,18 +62,17 @@ class TopView:
         return np.asarray(image.reduce(SMOOTH)).copy()
 
     def _draw_scene(self, drawn: "_Drawing", row: int) -> None:
-        for x, y, length, depth in self._shared(keys.BOXES_W, row).tolist():
-            drawn.box(x, y, length, depth, OBSTACLE)
-        for x, y, radius in self._shared(keys.PILLARS_W, row).tolist():
-            drawn.disc(x, y, radius, OBSTACLE)
+        boxes, pillars = (self._shared(key, row).tolist() for key in (keys.BOXES_W, keys.PILLARS_W))
         movers = self._shared(keys.MOVERS_W, row)
         time_s = self.env.value_of(keys.CLOCK)[row, None].cpu() * self.env.stages.context.dt_s
         centres, _ = motion(movers[None], time_s)
-        for (x, y), (half, deep) in zip(centres[0].tolist(), movers[:, 4:6].tolist(), strict=True):
-            if deep:
-                drawn.box(x - half, y - deep, 2 * half, 2 * deep, MOVER)
-            else:
-                drawn.disc(x, y, half, MOVER)
+        moving = zip(centres[0].tolist(), movers[:, 4:6].tolist(), strict=True)
+        there = [(x, y, half, deep) for (x, y), (half, deep) in moving]
+        boxes_moving = [(x - a, y - b, 2 * a, 2 * b) for x, y, a, b in there if b]
+        pillars_moving = [(x, y, radius) for x, y, radius, deep in there if not deep]
+        drawn.rings([*boxes, *boxes_moving], [*pillars, *pillars_moving])
+        drawn.columns(boxes, pillars, OBSTACLE)
+        drawn.columns(boxes_moving, pillars_moving, MOVER)
 
     def _draw_flight(self, drawn: "_Drawing", row: int) -> None:
         route = self._own(keys.ROUTE_W, row)[: int(self._own(keys.ROUTE_LENGTH, row)), :2]
@@ -127,10 +129,24 @@ class _Drawing:
         """A place's pixel."""
         return (x - self.origin[0]) * self.scale, (self.origin[1] - y) * self.scale
 
-    def box(self, x: float, y: float, length: float, depth: float, colour: str) -> None:
-        """A rectangle from its least corner."""
-        if length > 0 and depth > 0:
-            self.pen.rectangle((self.at(x, y + depth), self.at(x + length, y)), colour)
+    def rings(self, boxes: Columns, pillars: Columns) -> None:
+        """What is within the vehicle's radius of boxes and pillars."""
+        wide = INFLATION_M
+        for x, y, length, depth in boxes:
+            if length > 0 and depth > 0:
+                corners = self.at(x - wide, y + depth + wide), self.at(x + length + wide, y - wide)
+                self.pen.rounded_rectangle(corners, wide * self.scale, INFLATED)
+        for x, y, radius in pillars:
+            if radius > 0:
+                self.disc(x, y, radius + wide, INFLATED)
+
+    def columns(self, boxes: Columns, pillars: Columns, colour: str) -> None:
+        """Boxes, by their least corner and edges, and pillars."""
+        for x, y, length, depth in boxes:
+            if length > 0 and depth > 0:
+                self.pen.rectangle((self.at(x, y + depth), self.at(x + length, y)), colour)
+        for x, y, radius in pillars:
+            self.disc(x, y, radius, colour)
 
     def disc(self, x: float, y: float, radius: float, colour: str) -> None:
         """A disc around a place."""

@@ -4,9 +4,9 @@ import errno
 import os
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
-import torch
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from small_run import record
@@ -336,16 +336,17 @@ def test_schema_of_a_recording_names_its_reward_terms(run, call):
 
 
 def test_the_picture_shows_where_a_flight_counts_as_a_collision(street, tmp_path):
-    from resc.viewing.plot import draw_obstacles, inflation_m
+    from resc.viewing.map_picture import draw_obstacles, ring_entry
+    from resc.viewing.plot import inflation_m
 
     assert inflation_m(street, 0) == 0.3
     axes = Figure().add_subplot()
-    boxes = torch.tensor([[3.0, 0.5, 0.4, 1.0], [0.0, 0.0, 0.0, 0.0]])
-    (named,) = draw_obstacles(axes, {"boxes_w": boxes}, 0.3)
-    (inflated,) = [p for p in axes.patches if p.get_boxstyle().pad == 0.3]
-    shape = inflated.get_path().get_extents()
-    assert (shape.x0, shape.y0, shape.x1, shape.y1) == pytest.approx((2.7, 0.2, 3.7, 1.8))
-    assert "0.3 m" in named.get_label()
+    draw_obstacles(axes, [(3.0, 0.5, 0.4, 1.0), (0.0, 0.0, 0.0, 0.0)], [(5.0, 1.0, 0.2)], 0.3)
+    ring, obstacles = axes.collections
+    assert [len(shown.get_paths()) for shown in (ring, obstacles)] == [2, 2]
+    around = [path.get_extents().extents for path in ring.get_paths()]
+    np.testing.assert_allclose(around, [(2.7, 0.2, 3.7, 1.8), (4.5, 0.5, 5.5, 1.5)], atol=1e-9)
+    assert ring_entry(0.3, ends=True).get_label() == "collision: within 0.3 m of an obstacle"
 
 
 def test_a_crash_in_the_last_step_does_not_flatten_the_other_rewards():

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import foxglove.layouts as panels
 
-from resc.viewing.colours import ESTIMATED, TRUE
+from resc.viewing.colours import CHALK, ESTIMATED, NEXT, NIGHT, RENEWED, TRUE
 
 DEFAULT = (
     (
@@ -22,10 +22,9 @@ DEFAULT = (
 """Rewards, and topics under /observation, of the default training."""
 CAMERA = {"distance": 7.0, "phi": 50.0, "thetaOffset": 45.0, "perspective": True}
 """The camera looks down on the vehicle from this distance [m], and goes where it goes."""
-BACKGROUND = "#1c2128"
-PLAN, TRAIL = ("#ffffffff", "#ffffffff"), ("#f2a900ff", "#d7263dff")
+PLAN, TRAIL = (CHALK + "ff",) * 2, (NEXT + "ff", TRUE + "ff")
 ESTIMATE, BESIDE_ESTIMATE = (ESTIMATED + "ff",) * 2, (TRUE + "66",) * 2
-ROUTE = ("#19d3b5ff",) * 2
+ROUTE = (RENEWED + "ff",) * 2
 """The estimated track, and the true one around it, through which it shows."""
 SHARES = (62, 38)
 """Width [%] of the 3-D view and of the curves."""
@@ -58,10 +57,8 @@ def curves(reward_names: Sequence[str], tracks: Sequence[str] = ()) -> dict[str,
     }
     return {
         "Body rates [rad/s]": rates,
-        "Speed [m/s], thrust [N]": [
-            Curve("/state.speed", "speed"),
-            Curve("/command.collective_thrust", "commanded thrust"),
-        ],
+        "Speed [m/s]": [Curve("/state.speed", "speed")],
+        "Commanded thrust [N]": [Curve("/command.collective_thrust", "thrust")],
         "Reward terms": [Curve(f"/reward.terms.{name}", name) for name in reward_names],
         **(errors if "/drone/estimate" in tracks else {}),
     }
@@ -80,15 +77,15 @@ def topics(observations: Sequence[str], tracks: Sequence[str] = ()) -> dict[str,
         "/world/movers": {"visible": True},
         "/world/mover_points": {"visible": False},
         "/map/known": {"visible": True, "colorMode": "rgba-fields"},
-        "/plan/route": {**line, "lineWidth": 0.03, "gradient": list(ROUTE)},
+        "/plan/route": {**line, "lineWidth": 0.045, "gradient": list(ROUTE)},
     }
     trail = BESIDE_ESTIMATE if "/drone/estimate" in tracks else TRAIL
     return {
         **{topic: {"visible": False} for topic in hidden},
         **{topic: {"visible": True} for topic in shown},
         "/map/esdf_slice": {"visible": True, "colorMode": "rgba-fields"},
-        "/plan/path": {**line, "lineWidth": 0.02, "gradient": list(PLAN)},
-        "/drone/trail": {**line, "lineWidth": 0.04, "gradient": list(trail)},
+        "/plan/path": {**line, "lineWidth": 0.03, "gradient": list(PLAN)},
+        "/drone/trail": {**line, "lineWidth": 0.06, "gradient": list(trail)},
         "/plan/control_points": points,
         **{topic: points if topic.endswith("_points") else {"visible": True} for topic in seen},
         **{topic: beside[topic] for topic in tracks},
@@ -101,7 +98,7 @@ def view(observations: Sequence[str], tracks: Sequence[str] = ()) -> dict[str, A
         "cameraState": CAMERA,
         "followMode": "follow-position",
         "followTf": "drone",
-        "scene": {"backgroundColor": BACKGROUND, "transforms": {"visible": False}},
+        "scene": {"backgroundColor": NIGHT, "transforms": {"visible": False}},
         "topics": topics(observations, tracks),
     }
 

@@ -1,0 +1,39 @@
+"""A flight in Rerun's web viewer: the file opens with its own layout, and all of it is there."""
+
+import pytest
+from rerun_viewer import SIZE, count, drawn, seen
+from street import fly_street
+
+from resc.viewing.colours import AXES, INFLATED, OBSTACLE
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytest.importorskip("rerun", reason="the extra 'rerun' is not installed")
+api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+
+
+@pytest.fixture(scope="module")
+def picture(compose, tmp_path_factory):
+    """The window, halfway through a flight along the street."""
+    from resc.viewing.rerun_scene import write_rerun
+
+    log = fly_street(
+        compose("num_envs=2", "recorder=mcap", "task=from_rest"), tmp_path_factory.mktemp("street")
+    )
+    path = write_rerun(log, 1, tmp_path_factory.mktemp("scenes") / "scene.rrd")
+    with api.sync_playwright() as play:
+        try:
+            return seen(play, path, drawn)
+        except api.Error as error:
+            pytest.skip(f"no Chromium opens here: {error}".splitlines()[0])
+
+
+def test_obstacles_their_ring_and_the_vehicle_are_seen(picture):
+    assert drawn(picture)
+    left = picture[:, : SIZE["width"] // 2]
+    assert count(left, OBSTACLE) > 500
+    assert count(left, INFLATED) > 500
+
+
+def test_curves_are_on_the_right_in_the_colours_of_the_axes(picture):
+    right = picture[: SIZE["height"] // 2, 2 * SIZE["width"] // 3 :]
+    assert all(count(right, colour) > 20 for colour in AXES)
