@@ -31,7 +31,7 @@ FIRST, SECOND, MOVING = BLUE, GREEN, VERMILION
 RECORDED, MODELLED = BLUE, VERMILION
 FRONT, ROTOR, NEXT = VERMILION, PLAN, ORANGE
 """Of the vehicle in 3-D, and the control points ahead of it."""
-UNKNOWN, TAKEN, VIEW = "#7d8796", ORANGE, ORANGE
+UNKNOWN, TAKEN, VIEW = "#7d8796", ORANGE, SKY
 """Of a known map: what was never seen, what counts as occupied, what is in view."""
 NIGHT, CHALK = "#1c2128", "#ffffff"
 """Behind a 3-D scene, and lines on it."""

@@ -1,6 +1,7 @@
 """A flight in Rerun's web viewer: the file opens with its own layout, and all of it is there."""
 
 import pytest
+from PIL import Image
 from rerun_viewer import SIZE, count, drawn, seen
 from street import fly_street
 
@@ -22,9 +23,11 @@ def picture(compose, tmp_path_factory):
     path = write_rerun(log, 1, tmp_path_factory.mktemp("scenes") / "scene.rrd")
     with api.sync_playwright() as play:
         try:
-            return seen(play, path, drawn)
+            found = seen(play, path, drawn)
         except api.Error as error:
             pytest.skip(f"no Chromium opens here: {error}".splitlines()[0])
+    Image.fromarray(found).save(path.with_suffix(".png"))
+    return found
 
 
 def test_obstacles_their_ring_and_the_vehicle_are_seen(picture):
