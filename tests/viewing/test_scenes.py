@@ -256,6 +256,7 @@ def test_file_says_whose_flight_it_is_and_carries_its_layouts(log, path):
         "Plot!0",
         "Plot!1",
         "Plot!2",
+        "Plot!3",
         "RosOut!log",
     }
 
