@@ -195,8 +195,8 @@ def _draw_difficulty(
 ) -> None:
     """Each difficulty against frames."""
     for name, style in zip(names, cycle(STYLES)):
-        line = {"linestyle": style, "color": TEXT}
-        axes.plot(frames, _column(rows, f"difficulty/{name}"), label=name, **line)
+        shares = _column(rows, f"difficulty/{name}")
+        axes.plot(frames, shares, label=name, linestyle=style, color=TEXT)
     axes.set(xlabel="frames [M]", ylabel="difficulty", ylim=(-0.02, 1.02), title="curriculum")
     _add_legend(axes, **_BESIDE)
 

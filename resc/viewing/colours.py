@@ -4,6 +4,8 @@ Hues are Okabe and Ito's, which readers with any kind of colour blindness tell a
 them would show side by side also differs in lightness, marker or line style.
 """
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap
@@ -31,7 +33,7 @@ FIRST, SECOND, MOVING = BLUE, GREEN, VERMILION
 RECORDED, MODELLED = BLUE, VERMILION
 FRONT, ROTOR, NEXT = VERMILION, PLAN, ORANGE
 """Of the vehicle in 3-D, and the control points ahead of it."""
-UNKNOWN, TAKEN, VIEW = "#7d8796", ORANGE, ORANGE
+UNKNOWN, TAKEN, VIEW = "#7d8796", ORANGE, SKY
 """Of a known map: what was never seen, what counts as occupied, what is in view."""
 NIGHT, CHALK = "#1c2128", "#ffffff"
 """Behind a 3-D scene, and lines on it."""
@@ -46,7 +48,7 @@ ORDER = ListedColormap(mpl.colormaps["viridis"](np.linspace(0, 0.9, 256)))
 """What comes first and what later, likewise."""
 
 
-def look(number: int) -> dict[str, str]:
+def look(number: int) -> dict[str, Any]:
     """Colour and line style of one of many lines: beyond the seventh the style changes."""
     style = STYLES[number // len(VARIANTS) % len(STYLES)]
     return {"color": VARIANTS[number % len(VARIANTS)], "linestyle": style}

@@ -42,8 +42,8 @@ REACHED_M = 0.5
 """Distance at which a control point counts as passed, where the run does not say."""
 LAST_MS = 1500
 """For how long the last frame stays."""
-COLOURS = 64
-"""Of each frame."""
+COLOURS = 128
+"""Of all frames."""
 
 
 class _Flight:
@@ -138,11 +138,22 @@ def write_video(log: RolloutLog, episode: int, path: Path) -> Path:
     frame_ms = round(1e3 * every * flight.dt_s)
     lasts_ms = [*[frame_ms] * (len(shown) - 1), LAST_MS]
     with replacing(path, RecordingError) as unfinished:
-        first, *others = [frame.quantize(COLOURS) for frame in frames]
+        first, *others = _in_few_colours(frames)
         first.save(
             unfinished, format="GIF", save_all=True, append_images=others, duration=lasts_ms, loop=0
         )
     return path
+
+
+def _in_few_colours(frames: Sequence[Image.Image]) -> list[Image.Image]:
+    """The frames in colours that they share: what stands still costs nothing in a GIF."""
+    some = frames[:: max(1, len(frames) // 4)]
+    width, height = frames[0].size
+    sheet = Image.new("RGB", (width, height * len(some)))
+    for number, frame in enumerate(some):
+        sheet.paste(frame, (0, number * height))
+    palette = sheet.quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
+    return [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
 
 
 def _draw_ground(axes: Axes, flight: _Flight) -> None:
@@ -182,7 +193,7 @@ def _draw_frame(axes: Axes, flight: _Flight, step: int) -> list[Artist]:
         range_m, angle = flight.view
         half = math.degrees(angle) / 2
         turned = math.degrees(yaw)
-        edge = {"facecolor": VIEW, "alpha": 0.22, "edgecolor": "none", "zorder": 2.0}
+        edge = {"facecolor": VIEW, "alpha": 0.22, "edgecolor": "none", "zorder": 1.7}
         drawn.append(axes.add_patch(Wedge(here, range_m, turned - half, turned + half, **edge)))
     drawn.append(axes.add_patch(_vehicle(here, yaw)))
     axes.set_title(_caption(flight, step, number), fontsize=9, color=TEXT, loc="left")

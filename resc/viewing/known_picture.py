@@ -18,8 +18,8 @@ from resc.recording.insight import Route
 from resc.recording.known_cells import OCCUPIED, UNSEEN
 from resc.viewing.colours import FRAME, PLAN, RENEWED, TAKEN, UNKNOWN
 
-SHADE = 0.5
-"""How much of what lies under the unknown is hidden."""
+SHADE, TAKEN_SHADE = 0.5, 0.6
+"""How much is hidden of what lies under the unknown, and under what counts as occupied."""
 
 Cells = UInt8[np.ndarray, "h w"]
 
@@ -53,7 +53,7 @@ def shaded(cells: Cells) -> Float[np.ndarray, "h w 4"]:
     """The colour of each cell: nothing over what is known to be free."""
     colours = np.zeros((*cells.shape, 4))
     colours[cells == UNSEEN] = (*to_rgb(UNKNOWN), SHADE)
-    colours[cells == OCCUPIED] = (*to_rgb(TAKEN), 0.9)
+    colours[cells == OCCUPIED] = (*to_rgb(TAKEN), TAKEN_SHADE)
     return colours
 
 
@@ -75,7 +75,7 @@ def legend_entries(routes: Sequence[Route], known: bool) -> list[Patch | Line2D]
     found: list[Patch | Line2D] = []
     if known:
         found.append(Patch(facecolor=UNKNOWN, alpha=SHADE, label="never seen"))
-        found.append(Patch(facecolor=TAKEN, label="known as occupied"))
+        found.append(Patch(facecolor=TAKEN, alpha=TAKEN_SHADE, label="known as occupied"))
     if len(routes) > 1:
         label = f"renewed route ({len(routes) - 1})"
         found.append(Line2D([], [], color=RENEWED, marker="o", markersize=3.5, label=label))

@@ -41,7 +41,7 @@ def draw_movers(
     """Boxes and discs where the movers are, a ring around each; returns what was drawn."""
     drawn: list[Artist] = []
     for (x, y), (half_x, half_y) in zip(centres.tolist(), movers[:, 4:6].tolist(), strict=True):
-        style = {"facecolor": MOVER, "edgecolor": "none", "zorder": 1.6}
+        style = {"facecolor": MOVER, "edgecolor": "none", "zorder": 1.95}
         corner, edges = (x - half_x, y - half_y), (2 * half_x, 2 * half_y)
         if half_y:
             shape, ring = Rectangle(corner, *edges, **style), ring_of_box(corner, *edges, ring_m)

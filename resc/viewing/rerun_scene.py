@@ -45,12 +45,14 @@ from resc.viewing.scalars import Numbers
 from resc.viewing.sight import colour_of
 
 APPLICATION = "resc"
-DOT_M, ARM_M = 0.035, 0.012
+DOT_M, ARM_M = 0.035, 0.008
 """Radii [m]."""
 PLANNED, EDGE, RAY, TRAIL, TRACK, FRAME = -1.0, -1.6, -0.8, -2.0, -1.2, -2.0
 """Radii on the screen, which Rerun takes negative: lines are seen from afar and stay thin near."""
 EYE = np.array((0.0, -0.47, 1.15))
 """Where the camera is, from the middle of the route, in lengths of it."""
+LEAST_M = 6.0
+"""Length [m] that a shorter route counts as there."""
 SCENE = ("/world/**", "/map/**", "/plan/**", "/drone/**", "/observation/**")
 DIMMED = 0.45
 """Opacity of commanded rates beside true ones."""
@@ -312,7 +314,7 @@ def _blueprint(scene: EpisodeScene) -> rrb.Blueprint:
     place = scene.place
     plan = np.concatenate((place.start.numpy()[None], place.route.numpy()))
     low, high = plan.min(0), plan.max(0)
-    middle, length = (low + high) / 2, float(np.linalg.norm(high - low))
+    middle, length = (low + high) / 2, max(LEAST_M, float(np.linalg.norm(high - low)))
     eye = rrb.EyeControls3D(position=middle + length * EYE, look_target=middle)
     tracks = () if scene.path(keys.ESTIMATED_POSITION_W) is None else ("/drone/estimate",)
     plots = [

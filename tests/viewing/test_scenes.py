@@ -20,6 +20,7 @@ from resc.scenes.layout import PARKED_M
 from resc.sights import Shape
 from resc.term import Observation
 from resc.viewing import layouts
+from resc.viewing.appearance import WALL_ALPHA
 from resc.viewing.episode_scene import load_scene
 from resc.viewing.foxglove import write_scene
 from resc.viewing.layouts import DEFAULT
@@ -160,6 +161,15 @@ def test_curves_are_the_recorded_numbers_and_the_scaled_action(log, messages):
     assert reward[at].so_far == pytest.approx(log.episodes["return_"][1], rel=1e-5)
 
 
+def test_obstacles_let_the_vehicle_and_its_ring_shine_through(messages):
+    (obstacles,) = of_topic(messages, "/world/obstacles")[0].entities
+    assert obstacles.cubes[0].color.a == pytest.approx(WALL_ALPHA, abs=0.5 / 255)
+    (ring,) = of_topic(messages, "/drone/body")[0].entities[0].lines
+    assert ring.scale_invariant
+    radii = [np.hypot(point.x, point.y) for point in ring.points]
+    assert radii == pytest.approx([0.3] * len(radii))
+
+
 def test_obstacles_map_and_plan_are_those_of_the_scene(messages):
     (obstacles,) = of_topic(messages, "/world/obstacles")[0].entities
     (cube,) = obstacles.cubes  # the second box is parked: it does not exist
@@ -256,6 +266,7 @@ def test_file_says_whose_flight_it_is_and_carries_its_layouts(log, path):
         "Plot!0",
         "Plot!1",
         "Plot!2",
+        "Plot!3",
         "RosOut!log",
     }
 
