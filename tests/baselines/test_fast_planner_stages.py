@@ -7,6 +7,7 @@ from resc.baselines.bspline import CubicBSpline, uniform
 from resc.baselines.fast_planner import Fitting, KinodynamicSearch, Optimisation, TimeAdjustment
 from resc.baselines.fast_planner.cost_to_go_kernels import cost_to_go
 from resc.baselines.fast_planner.distance_field import DistanceField
+from resc.baselines.fast_planner.limits import Limits
 from resc.baselines.fast_planner.field_kernels import FREE_M, distance_at
 from resc.baselines.fast_planner.open_list_kernels import lift, pop, rise
 from resc.baselines.fast_planner.optimisation_kernels import (
@@ -243,6 +244,18 @@ def test_a_spline_that_reaches_the_goal_keeps_its_end():
     best = Optimisation().optimised(fitted, scene.field, LIMITS, reached=True).control_points
     assert_allclose(best[-3:], points[-3:])
     assert np.abs(best - points).max() > 0.1
+
+
+def test_free_control_points_stay_between_the_heights():
+    """Smoothest is a curve that goes on climbing, as its beginning does."""
+    points = np.array([[0.3 * i, 0.0, min(0.9 + 0.07 * i, 1.28)] for i in range(14)])
+    field = DistanceField(EMPTY)
+    for top, most in ((1.3, 1.3), (9.0, 2.0)):
+        limits = Limits(3.0, 6.0, 0.7, top)
+        best = Optimisation().optimised(uniform(points, 0.2), field, limits, reached=False)
+        highest = best.control_points[:, 2].max()
+        assert highest == pytest.approx(most, abs=1e-6 if top == most else 0.6)
+        assert highest <= top + 1e-9
 
 
 def test_one_evaluation_leaves_the_control_points_as_they_are():
