@@ -90,7 +90,7 @@ def _evaluate(at, slope, points, slope_there, given):
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
 def _kept(at, ahead, heights):
-    """Takes from a direction what leads out of the heights at once; the longest step within them."""
+    """Takes what leads out of the heights at once from a direction; the longest step in them."""
     longest = np.inf
     for k in range(2, len(at), 3):
         room = heights[1] - at[k] if ahead[k] > 0 else at[k] - heights[0]
