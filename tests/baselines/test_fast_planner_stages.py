@@ -8,6 +8,7 @@ from resc.baselines.fast_planner import Fitting, KinodynamicSearch, Optimisation
 from resc.baselines.fast_planner.cost_to_go_kernels import cost_to_go
 from resc.baselines.fast_planner.distance_field import DistanceField
 from resc.baselines.fast_planner.field_kernels import FREE_M, distance_at
+from resc.baselines.fast_planner.limits import Limits
 from resc.baselines.fast_planner.open_list_kernels import lift, pop, rise
 from resc.baselines.fast_planner.optimisation_kernels import (
     Numbers,
@@ -214,26 +215,44 @@ def test_the_slope_is_that_of_the_cost():
         assert slope[i, axis] == pytest.approx(rise_ / 2e-6, rel=1e-4, abs=1e-5), (i, axis)
 
 
-def test_control_points_are_optimised_as_in_the_original():
-    """On the other scene any two descents end decimetres apart (`descent_kernels`)."""
-    scene = seen("B1_sparse")
-    golden = np.array(scene.golden["ctrl_opt"])
-    fitted = uniform(np.array(scene.golden["ctrl_init"]), scene.golden["ts"])
-    best = Optimisation().optimised(fitted, scene.field, LIMITS, reached=False)
-    assert_allclose(best.control_points, golden, atol=1e-2)
-    assert_allclose(best.control_points[:3], golden[:3])
-
-
-def test_control_points_among_obstacles_cost_no_more_than_those_of_the_original():
-    scene = seen("A1_author11")
+def optimised(scene, evaluations=300, moved=0.0):
+    """The points of the original before its descent, moved a little, and ours after it."""
     points = np.array(scene.golden["ctrl_init"])
-    fitted = uniform(points, scene.golden["ts"])
-    best = Optimisation().optimised(fitted, scene.field, LIMITS, reached=False)
-    end, unused = points[-3:].T @ np.array((1, 4, 1)) / 6, np.zeros_like(points)
+    points[:, :2] += moved * np.random.default_rng(1).normal(size=(len(points), 2))
+    fitted, descent = uniform(points, scene.golden["ts"]), Optimisation(evaluations=evaluations)
+    return descent.optimised(fitted, scene.field, LIMITS, reached=False).control_points
+
+
+def cost_of(scene, points):
+    first = np.array(scene.golden["ctrl_init"])
+    end, unused = first[-3:].T @ np.array((1, 4, 1)) / 6, np.zeros_like(points)
     given = (3, len(points), end, scene.field.field, numbers_of(scene.golden["ts"]))
-    original = cost_and_slope(np.array(scene.golden["ctrl_opt"]), *given, unused)
+    return cost_and_slope(points, *given, unused)
+
+
+def test_control_points_are_optimised_as_in_the_original():
+    scene = seen("B1_sparse")
+    golden, best = np.array(scene.golden["ctrl_opt"]), optimised(scene)
+    assert_allclose(best, golden, atol=1e-2)
+    assert_allclose(best[:3], golden[:3])
+    assert np.abs(optimised(scene, moved=1e-12) - best).max() < 1e-5
+
+
+def test_among_obstacles_no_last_digit_may_differ_to_find_the_points_of_the_original():
+    """What begins 1e-12 m apart is 1e-12 m apart after 40 evaluations and decimetres after 300.
+
+    Both then cost what the original's points cost, within 5 %: there are several valleys.
+    """
+    scene = seen("A1_author11")
+    original = cost_of(scene, np.array(scene.golden["ctrl_opt"]))
     assert original == pytest.approx(scene.golden["opt_cost"], rel=1e-4)
-    assert cost_and_slope(best.control_points, *given, unused) < 1.1 * original
+    ends = {}
+    for evaluations in (40, 300):
+        ends[evaluations] = [optimised(scene, evaluations, moved) for moved in (0.0, 1e-12)]
+    assert np.abs(np.subtract(*ends[40])).max() < 1e-10
+    assert np.abs(np.subtract(*ends[300])).max() > 0.1
+    for points in ends[300]:
+        assert cost_of(scene, points) == pytest.approx(original, rel=0.05)
 
 
 def test_a_spline_that_reaches_the_goal_keeps_its_end():
@@ -243,6 +262,18 @@ def test_a_spline_that_reaches_the_goal_keeps_its_end():
     best = Optimisation().optimised(fitted, scene.field, LIMITS, reached=True).control_points
     assert_allclose(best[-3:], points[-3:])
     assert np.abs(best - points).max() > 0.1
+
+
+def test_free_control_points_stay_between_the_heights():
+    """It is smoother to climb on for a while."""
+    points = np.array([[0.3 * i, 0.0, min(0.9 + 0.1 * i, 1.25)] for i in range(14)])
+    spline, field, highest = uniform(points, 0.2), DistanceField(EMPTY), {}
+    for top in (1.3, 9.0):
+        limits = Limits(3.0, 6.0, 0.7, top)
+        best = Optimisation().optimised(spline, field, limits, reached=False)
+        highest[top] = best.control_points[:, 2].max()
+    assert highest[1.3] == pytest.approx(1.3, abs=1e-9)
+    assert highest[9.0] > 1.4
 
 
 def test_one_evaluation_leaves_the_control_points_as_they_are():

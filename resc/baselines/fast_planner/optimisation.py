@@ -52,16 +52,16 @@ class Optimisation:
         Args:
             spline: Uniform.
             distances: To obstacles.
-            limits: Of speed and acceleration; to exceed them costs.
+            limits: To exceed those of speed and acceleration costs; heights are kept.
             reached: Whether the end is the goal and stays as it is.
         """
         points, interval = spline.control_points, float(spline.knots[1] - spline.knots[0])
         last = len(points) - FIXED if reached else len(points)
         end = points[-3:].T @ np.array((1, 4, 1)) / 6
         numbers = self._numbers(limits, interval)
-        best, _ = descend(
-            points, FIXED, last, end, distances.field, numbers, self.tolerance, self.evaluations
-        )
+        heights = (limits.lowest_m, limits.highest_m)
+        stop = (self.tolerance, self.evaluations)
+        best, _ = descend(points, FIXED, last, end, distances.field, numbers, heights, *stop)
         return uniform(best, interval)
 
     def _numbers(self, limits: Limits, interval_s: float) -> Numbers:
