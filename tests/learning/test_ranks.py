@@ -113,7 +113,7 @@ def test_all_have_the_same_weights_and_figures_and_go_on_bit_for_bit(compose, tm
 def finished(tmp_path_factory):
     """The folder of a run of two processes, and what each of them said."""
     folder = tmp_path_factory.mktemp("ranks") / "run"
-    return folder, Ranks(*[[*FLOWN, f"hydra.run.dir={folder}"]] * 2).end()
+    return folder, Ranks(*[[*FLOWN, f"hydra.run.dir={folder}"]] * 2, afresh=True).end()
 
 
 @pytest.mark.slow
@@ -159,12 +159,12 @@ def test_their_recordings_are_read_as_one_run(finished):
 def test_finished_run_trains_further_with_the_same_number_of_processes(finished):
     folder, _ = finished
     further = [f"resume={folder}", "total_frames=384"]
-    for code, _, errors in Ranks(further, further).end():
+    for code, _, errors in Ranks(further, further, afresh=True).end():
         assert code == 0, errors
     log = RolloutLog(folder)
     assert (log.num_envs, log.num_batches) == (8, 3)
     assert not log.superseded
-    ((code, _, errors),) = Ranks([f"resume={folder}", "total_frames=512"]).end()
+    ((code, _, errors),) = Ranks([f"resume={folder}", "total_frames=512"], afresh=True).end()
     assert code == 1
     assert "was made by 2 process(es), but this run has 1; go on with: torchrun" in errors
 
@@ -267,7 +267,7 @@ def until(reached):
 def test_killed_rank_stops_the_others_with_a_checkpoint_that_goes_on(tmp_path):
     folder = tmp_path / "run"
     own = [*FLOWN, "total_frames=1000000", f"hydra.run.dir={folder}"]
-    begun = Ranks(own, own)
+    begun = Ranks(own, own, afresh=True)
     until((folder / CHECKPOINT).exists)
     os.kill(begun.processes[1].pid, signal.SIGKILL)
     (code, _, errors), _ = begun.end()
@@ -279,7 +279,7 @@ def test_killed_rank_stops_the_others_with_a_checkpoint_that_goes_on(tmp_path):
     assert said[2] == f"Go on from the last checkpoint with: {again}"
 
     frames = torch.load(folder / CHECKPOINT)["algorithm"]["frames"]
-    begun = Ranks(*[[f"resume={folder}", "checkpoint_every_s=0.1"]] * 2)
+    begun = Ranks(*[[f"resume={folder}", "checkpoint_every_s=0.1"]] * 2, afresh=True)
     until(lambda: torch.load(folder / CHECKPOINT)["algorithm"]["frames"] > frames)
     os.kill(begun.processes[1].pid, signal.SIGTERM)
     (first, _, errors), (second, *silent) = begun.end()
