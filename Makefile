@@ -11,8 +11,10 @@ EXTRAS := dev benchmark bound dataframes estimation examples export link maps mi
 # What `make readers` installs beside the lock file.
 NODE_PACKAGES := @mcap/core@2.2.2 @mcap/support@1.1.0 protobufjs@8.8.1
 RERUN := rerun-sdk==0.41.0
+# What `make docs` does.
+DOCS := mkdocstrings-python==2.0.11 zensical==0.0.73
 
-.PHONY: demo train reproduce baselines test gpu readers check check-format check-lint check-types format lock clean help
+.PHONY: demo train reproduce baselines test gpu readers docs check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
 
 demo: $(STAMP) ## Fly the shipped policy through the default scene.
@@ -45,6 +47,12 @@ readers: $(STAMP) ## Install Rerun and the MCAP reader of web viewers (needs npm
 	npm install --silent --no-audit --no-fund --prefix .cache/node $(NODE_PACKAGES)
 	$(PY) -m pip install --quiet --disable-pip-version-check '$(RERUN)'
 	NODE_PATH="$$PWD/.cache/node/node_modules" $(PY) -m pytest -rs tests/recording/test_conformance.py tests/recording/test_rerun.py
+
+docs: $(STAMP) ## Install Zensical, build the documentation's pages; a warning is an error.
+	$(PY) -m pip install --quiet --disable-pip-version-check $(DOCS)
+	$(PY) docs/tools/assemble.py
+	$(VENV)/bin/zensical build --strict -f build/docs/mkdocs.yml
+	@echo "Open build/docs/site/index.html."
 
 check: check-format check-lint check-types ## Check format, lint and types.
 
