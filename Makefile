@@ -50,9 +50,7 @@ readers: $(STAMP) ## Install Rerun and the MCAP reader of web viewers (needs npm
 
 docs: $(STAMP) ## Install Zensical, build the documentation's pages; a warning is an error.
 	$(PY) -m pip install --quiet --disable-pip-version-check $(DOCS)
-	$(PY) docs/tools/assemble.py
-	$(VENV)/bin/zensical build --strict -f build/docs/mkdocs.yml
-	@echo "Open build/docs/site/index.html."
+	$(PY) -m docs.tools.build
 
 check: check-format check-lint check-types ## Check format, lint and types.
 
