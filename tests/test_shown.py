@@ -5,22 +5,23 @@ own, beside runs made in the same way.
 """
 
 import json
-import os
+import multiprocessing
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 import tomllib
 from importlib.util import find_spec
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
 import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from shown import ROOT, blocks, commands, is_shell
+from shown_started import started
 
 from resc.log_command import build_parser
+from resc.starting.launch import quoted_paths
 
 TRAIN = (
     *("compile=false", "num_envs=8", "total_frames=512", "pool_size=8", "renew_scenes=0"),
@@ -107,6 +108,14 @@ MENTIONED = re.compile(
     r"|resc-log identify RECORDING$|torchrun --nproc-per-node=K$"
 )
 """Programs that the text speaks of: they say how they are used."""
+IMPORTED = [
+    "resc.learning.training_run",
+    "resc.evaluation.campaign",
+    "resc.pages.write",
+    "resc.recording",
+    "matplotlib.pyplot",
+]
+"""What takes seconds in every process."""
 HISTORY = "docs/log.md"
 """It keeps what was once run, by commands of its time."""
 OTHERWISE = {
@@ -168,31 +177,23 @@ def set_by(word):
 
 
 @pytest.fixture(scope="session")
-def run_once(tmp_path_factory):
+def run_once():
     """`run_once(folder, line)` runs a command of a page in a folder."""
-    bin_folder = tmp_path_factory.mktemp("bin")
-    starts = {
-        "python": "",
-        "resc-log": "-m resc.log_command",
-        "torchrun": "-m torch.distributed.run",
-    }
-    for name, module in starts.items():
-        (bin_folder / name).write_text(f'#!/bin/sh\nexec {sys.executable} {module} "$@"\n')
-        (bin_folder / name).chmod(0o755)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    environment["PATH"] = f"{bin_folder}:{environment['PATH']}"
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(IMPORTED)
+    with pytest.MonkeyPatch.context() as patch:  # a server knows no other path
+        patch.setenv("PYTHONPATH", str(ROOT))
+        patch.setenv("OMP_NUM_THREADS", "1")
+        forkserver.ensure_running()
 
     def run(folder, line):
-        done = subprocess.run(
-            ["bash", "-c", line],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=600,
-        )
-        assert done.returncode == 0, f"{line}\n{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
-        return done
+        for part in line.split(" && "):
+            with (folder / "said.txt").open("w+") as said:
+                target, words = started, shlex.split(part)
+                process = context.Process(target=target, args=(words, str(folder), said.name))
+                process.start()
+                process.join(timeout=600)
+                assert process.exitcode == 0, f"{part}\n{said.read()[-4000:]}"
 
     return run
 
@@ -208,7 +209,7 @@ def prepared(tmp_path_factory, run_once):
     (folder / "docs").mkdir()
     shutil.copy(ROOT / "tests" / "data" / "px4_sitl_iris.ulg", folder / "flight.ulg")
     write_shown(folder)
-    sweep = "python train.py -m obstacle_observation=kgp_esdf,none seed=0,1"
+    sweep = "python train.py -m obstacle_observation=kgp_esdf,none seed=0"
     for line in (sweep, "python train.py"):
         run_once(folder, cut(line))
     for name in ("one", "other"):
@@ -242,3 +243,102 @@ def test_a_command_runs(line, prepared, run_once, tmp_path):
             run_once(folder, cut(before))
             break
     run_once(folder, cut(line))
+
+
+LISTINGS = {
+    "runs/<date>/<time>_<name>/": "what a sweep leaves",
+    "mypackage/": "tests/test_add_a_term.py",
+    "  goal_offset           45-47  x, y, z": "tests/test_add_a_term.py",
+    "predict    x <- F x + G a,  P <- F P F^T + Q": "equations",
+}
+"""Blocks without a language that hold no commands, by how they begin."""
+PROGRAMS = {
+    "README.md": "tests/test_readme.py",
+    "docs/add-a-part.md": "tests/test_add_a_part.py",
+    "docs/add-a-term.md": "tests/test_add_a_term.py",
+    "docs/gymnasium.md": "tests/test_gym.py",
+}
+"""Pages whose programs another test runs; those of all others run below."""
+BEFORE = {
+    "docs/planning.md": """
+import numpy as np
+occupancy = np.zeros((100, 100), bool)
+""",
+    "docs/evaluation.md": """
+import resc
+env = resc.make_env("scene=paper4_map15", "task=from_rest", num_envs=2, in_order=True)
+""",
+}
+"""What the text of a page takes for given."""
+OF_RERUN = "rerun"
+
+
+def test_every_block_is_of_a_known_kind():
+    for block in blocks():
+        known = is_shell(block) or block.language in ("python", "yaml", "json")
+        assert known or any(block.text.startswith(begin) for begin in LISTINGS), block
+
+
+def test_every_command_is_run_here_or_it_is_said_where():
+    assert [line for line in SHOWN if not MENTIONED.match(line) and not rule(line)] == []
+
+
+def test_settings_of_every_command_are_read_by_hydra():
+    parser = OverridesParser.create()
+    scripts = ("train.py", "evaluate.py", "resc.evaluation.transfer", "resc.deployment")
+    for line in RUN:
+        words = shlex.split(cut(line).replace("<", "").replace(">", ""))
+        if any(word.startswith(scripts) for word in words):
+            parser.parse_overrides(quoted_paths([w for w in words if set_by(w) and w[0] != "P"]))
+
+
+def test_every_target_and_every_extra_that_is_shown_is_there():
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    for line in SHOWN:
+        if line.startswith("make "):
+            assert set(line.split()[1:]) <= {*targets}, line
+        for extra in re.findall(r"pip install .*\[(\w+)\]", line):
+            assert extra in extras, line
+
+
+def test_every_command_of_resc_log_that_is_shown_is_there():
+    (choices,) = (action.choices for action in build_parser()._actions if action.choices)
+    named = {line.split()[1] for line in SHOWN if re.match(r"resc-log [a-z]", line)}
+    assert named <= set(choices)
+
+
+def test_every_file_that_is_shown_can_be_read():
+    for block in blocks():
+        if block.language == "yaml":
+            assert yaml.safe_load(block.text), block
+        elif block.language == "json":
+            json.loads(block.text)
+        elif block.language == "python":
+            compile(block.text, f"{block.page}:{block.line}", "exec")
+
+
+def test_what_runs_elsewhere_is_run_there():
+    for page, test in PROGRAMS.items():
+        assert Path(page).name in (ROOT / test).read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page", sorted({b.page for b in blocks() if b.language == "python"} - PROGRAMS.keys())
+)
+def test_the_programs_of_a_page_run_one_after_the_other(page, prepared, run_once, tmp_path):
+    """Those of docs/recording.md read a recording at `rollouts/train`."""
+    folder = tmp_path / "here"
+    shutil.copytree(prepared, folder, symlinks=True)
+    (folder / "rollouts").mkdir()
+    (folder / "rollouts" / "train").symlink_to(folder / "runs" / "latest_train" / "rollouts")
+    programs = [
+        b.text for b in blocks() if b.page == page and b.language == "python" and not b.file
+    ]
+    if not find_spec(OF_RERUN):
+        programs = [text for text in programs if OF_RERUN not in text]
+    text = "\n".join((BEFORE.get(page, ""), *programs)).replace("success=True, ", "")
+    (folder / "shown.py").write_text(text)
+    run_once(folder, "python shown.py")
