@@ -12,7 +12,8 @@ from pathlib import Path, PurePosixPath
 
 from docs.tools import api, keys, parts, runs
 
-ROOT = Path(__file__).parents[2]
+TOOLS = Path(__file__).parent
+ROOT = TOOLS.parents[1]
 LINK = re.compile(r"(!?)\[([^]]*)\]\(([^)#\s]*)(#[^)\s]*)?\)")
 ELSEWHERE = {"README.md": "index.md", "policies/README.md": "policies.md"}
 """Pages that stand outside docs/."""
@@ -80,7 +81,8 @@ def assemble(folder: Path) -> None:
     for name, text in pages().items():
         (shown / name).parent.mkdir(parents=True, exist_ok=True)
         (shown / name).write_text(text)
-    shutil.copy(Path(__file__).with_name("mkdocs.yml"), folder)
+    shutil.copy(TOOLS / "site.css", shown)
+    shutil.copy(TOOLS / "mkdocs.yml", folder)
 
 
 def build(folder: Path) -> int:

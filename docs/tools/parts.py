@@ -7,11 +7,12 @@ writes, and its numbers with their units.
 import inspect
 import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from griffe import DocstringSectionKind
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from docs.tools import keys
 from docs.tools.settings import HEAD, arguments, comments, head_comment, row, sections, settings_of
@@ -68,7 +69,7 @@ def _group(group: Group) -> str:
 
 def entry(path: Path) -> str:
     """What is said of one file of conf/."""
-    own, nodes = OmegaConf.load(path), list(_nodes(_whole(path)))
+    own, nodes = _loaded(path), list(_nodes(_whole(path)))
     name = path.relative_to(CONF).as_posix()
     blocks = [f"## {path.stem}", head_comment(path), f"`conf/{name}`{_brings(own)}"]
     for number, (where, node) in enumerate(nodes):
@@ -87,9 +88,15 @@ def _brings(own: Mapping[str, Any]) -> str:
     return f", on top of {shown}" if taken else ""
 
 
+@cache
+def _loaded(path: Path) -> DictConfig | ListConfig:
+    """What a file holds."""
+    return OmegaConf.load(path)
+
+
 def _whole(path: Path) -> Mapping[str, Any]:
     """The settings of a file, with those of the files of its folder that it builds on."""
-    own = OmegaConf.load(path)
+    own = _loaded(path)
     based = [d for d in own.get("defaults", []) if isinstance(d, str) and d != "_self_"]
     below = [_whole(path.with_name(f"{name}.yaml")) for name in based]
     plain = OmegaConf.to_container(OmegaConf.merge(*below, own))
