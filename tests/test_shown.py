@@ -193,6 +193,8 @@ def run_once():
                 process = context.Process(target=target, args=(words, str(folder), said.name))
                 process.start()
                 process.join(timeout=600)
+                process.kill()
+                process.join()
                 assert process.exitcode == 0, f"{part}\n{said.read()[-4000:]}"
 
     return run
