@@ -60,6 +60,7 @@ FEWER = {
     "ablate_observation": "obstacle_observation=none,kgp_esdf",
     "ablate_search": "search=exact,jps seed=0",
     "ablate_transfer": "+ingredient=nothing,masses algorithm.init_from_std=0.2",
+    "best_of": "hydra.sweeper.best=1 hydra.sweeper.seeds=1",
     "tune_reward": "hydra.sweeper.trials=2",
 }
 """Variants of those studies."""
@@ -84,12 +85,14 @@ NAMES = {
         r"reward=[progress,time,crash,height]' 'hydra.searchpath=[own/conf]' "
         r"'allowed_targets=[own.]'"
     ),
+    r"cloning.py runs/latest_train": "cloning.py runs/latest_evaluation",  # where some succeed
+    r"--into mine": "--into compared",
     r"FOLDER \.\.\.": "runs/latest_train",
 }
 """What a reader puts into a command, or what the small runs have."""
 TUNED = "python train.py -m +experiment=tune_reward hydra.sweep.dir=runs/tuned"
 FIRST = {
-    "runs/tuned": TUNED,
+    "resume=runs/tuned": TUNED,
     "best_of": TUNED,
     "resc.studies.tuning": "python train.py -m +experiment=tune_reward",
     "resc.studies.dial": (
@@ -159,7 +162,7 @@ def cut(line):
         added = []
     if RANDOM.search(line) or "suite=[" in line:
         added.append("maps=1")
-    added += [fewer for study, fewer in FEWER.items() if study in line and "best_of" not in line]
+    added += [fewer for study, fewer in FEWER.items() if study in line][:1]
     words = [w for w in WORD.findall(line) if not set_by(w) & {*BUDGET}]
     if "resume=" in line and "total_frames" in line:
         words.append("total_frames=1024")
@@ -291,7 +294,9 @@ def test_settings_of_every_command_are_read_by_hydra():
     for line in RUN:
         words = shlex.split(cut(line).replace("<", "").replace(">", ""))
         if any(word.startswith(scripts) for word in words):
-            parser.parse_overrides(quoted_paths([w for w in words if set_by(w) and w[0] != "P"]))
+            parser.parse_overrides(
+                quoted_paths([w for w in words if set_by(w) and w[0] not in "P-"])
+            )
 
 
 def test_every_target_and_every_extra_that_is_shown_is_there():
