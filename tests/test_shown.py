@@ -129,6 +129,7 @@ OTHERWISE = {
     "python train.py scene=planned_map": "as the map of conf/scene/planned_map.yaml",
     "python -m benchmarks.planning": "measures for minutes, and has no arguments",
     "python benchmarks/link.py": "measures for minutes, and has no --help",
+    "resc-log identify flight.ulg": "tests/flight_logs/test_identify.py, on the log of a flight",
     "resc-log rerun runs/latest_train": "tests/recording/test_rerun.py, where Rerun is installed",
     "launcher=ray": "tests/test_scale.py, where Ray is installed",
 }
