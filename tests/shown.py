@@ -58,5 +58,5 @@ def commands():
             found.setdefault(line, set()).add(block.page)
     for path in PAGES:
         for line in INLINE.findall(FENCE.sub("", path.read_text())):
-            found.setdefault(line, set()).add(path.relative_to(ROOT).as_posix())
+            found.setdefault(" ".join(line.split()), set()).add(path.relative_to(ROOT).as_posix())
     return {line: sorted(pages) for line, pages in sorted(found.items())}

@@ -49,7 +49,7 @@ CUTS = {
     "python -m resc.viewing.scene_picture": ("conf/scene/planned.yaml", "1"),
     "python -m benchmarks": ("--help",),  # they measure for minutes
     "python benchmarks": ("--help",),
-    "python examples/behaviour_cloning.py": ("--updates 5 evaluation_episodes=4",),
+    "python examples/behaviour_cloning.py": ("--updates 5 --batch 64 evaluation_episodes=4",),
     "resc-log": (),
     "g++": (),
 }
