@@ -161,6 +161,8 @@ def cut(line):
         return line
     if "resume=" in line or "replay=" in line:
         added = []
+    if "algorithm=reinforce" in line:  # its batch is whole
+        added.remove("algorithm.minibatch=64")
     if RANDOM.search(line) or "suite=[" in line:
         added.append("maps=1")
     added += [fewer for study, fewer in FEWER.items() if study in line][:1]
