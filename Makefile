@@ -6,13 +6,13 @@ STAMP := $(VENV)/.installed
 PYTHON ?= python3.13 python3.12 python3.11 python3
 ARGS ?=
 # All but ray and rerun, which are large, mlflow and trackio, which want older packages than the rest.
-EXTRAS := dev benchmark bound dataframes estimation examples export link maps minari notebook optuna px4 simulators slurm video wandb
+EXTRAS := dev benchmark bound dataframes docs estimation examples export link maps minari notebook optuna px4 simulators slurm video wandb
 
 # What `make readers` installs beside the lock file.
 NODE_PACKAGES := @mcap/core@2.2.2 @mcap/support@1.1.0 protobufjs@8.8.1
 RERUN := rerun-sdk==0.41.0
 
-.PHONY: demo train reproduce baselines test gpu readers check check-format check-lint check-types format lock clean help
+.PHONY: demo train reproduce baselines test gpu readers docs check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
 
 demo: $(STAMP) ## Fly the shipped policy through the default scene.
@@ -45,6 +45,9 @@ readers: $(STAMP) ## Install Rerun and the MCAP reader of web viewers (needs npm
 	npm install --silent --no-audit --no-fund --prefix .cache/node $(NODE_PACKAGES)
 	$(PY) -m pip install --quiet --disable-pip-version-check '$(RERUN)'
 	NODE_PATH="$$PWD/.cache/node/node_modules" $(PY) -m pytest -rs tests/recording/test_conformance.py tests/viewing/test_rerun.py
+
+docs: $(STAMP) ## Build the documentation's pages; a warning is an error.
+	$(PY) -m docs.tools.build
 
 check: check-format check-lint check-types ## Check format, lint and types.
 

@@ -1,4 +1,4 @@
-"""The README shows what is there: its table of parts is conf/, its example is a reward."""
+"""README and docs show what is there: the table of parts is conf/, the example is a reward."""
 
 import re
 from itertools import permutations
@@ -12,6 +12,7 @@ from resc.run_folder import link_latest
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+PARTS = (ROOT / "docs" / "parts.md").read_text()
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *ROOT.glob("*.py")]
 LEFT = {
     "train": ("report.html", "rollouts", "held_out", "policy.pt"),
@@ -24,7 +25,7 @@ NO_PARTS = {"env", "experiment", "hydra"}
 
 
 def test_table_of_parts_lists_every_file_of_conf():
-    rows = re.findall(r"^\| `(\w+)`(?: \*)? \|[^|]*\|([^|]*)\|$", README, re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)`(?: \*)? \|[^|]*\|([^|]*)\|$", PARTS, re.MULTILINE)
     listed = {group: set(re.findall(r"`(\w+)`", choices)) for group, choices in rows}
     folders = {path for path in (ROOT / "conf").iterdir() if path.is_dir()}
     there = {folder.name: {path.stem for path in folder.glob("*.yaml")} for folder in folders}
