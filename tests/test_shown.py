@@ -131,6 +131,7 @@ OTHERWISE = {
     "python benchmarks/link.py": "measures for minutes, and has no --help",
     "resc-log identify flight.ulg": "tests/flight_logs/test_identify.py, on the log of a flight",
     "resc-log rerun runs/latest_train": "tests/recording/test_rerun.py, where Rerun is installed",
+    "python tests/viewing/rerun_viewer.py": "tests/viewing/test_rerun_browser.py, in a browser",
     "launcher=ray": "tests/test_scale.py, where Ray is installed",
 }
 """Commands that run elsewhere, and where or why."""
