@@ -31,4 +31,4 @@ def started(words: list[str], folder: str, said: str) -> None:
         sys.argv = [module, *rest]
         runpy.run_module(module, run_name="__main__", alter_sys=True)
     else:
-        sys.exit(subprocess.call(words))
+        sys.exit(subprocess.call(words, timeout=300))

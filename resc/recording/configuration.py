@@ -12,7 +12,7 @@ from resc.errors import RecordingError
 
 
 def parse(document: bytes, origin: str) -> Container:
-    """The configuration in a document, read-only.
+    """The configuration in a document.
 
     Raises:
         RecordingError: It holds anything but a mapping; the message names the `origin`.
@@ -22,9 +22,7 @@ def parse(document: bytes, origin: str) -> Container:
         # OmegaConf alone would make a mapping of a word, and take a list.
         if not isinstance(compose(text, CSafeLoader), MappingNode):
             raise ValueError("it holds no mapping")
-        config = OmegaConf.create(text)
-        OmegaConf.set_readonly(config, True)
-        return config
+        return OmegaConf.create(text)
     except (YAMLError, OmegaConfBaseException, ValueError, RecursionError) as error:
         reason = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise RecordingError(

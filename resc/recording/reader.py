@@ -87,7 +87,7 @@ class RolloutLog(Recorded):
 
     @cached_property
     def config(self) -> "omegaconf.Container":
-        """The configuration of the run, from the attachment `config.yaml`; to be read only."""
+        """The configuration of the run, from the attachment `config.yaml`; one object for all."""
         from resc.recording.configuration import parse
 
         if "config.yaml" not in self.attachments:
