@@ -85,9 +85,9 @@ class RolloutLog(Recorded):
         """Documents stored with the recording, by name (from the first file)."""
         return self._sources[0].attachments()
 
-    @cached_property
+    @property
     def config(self) -> "omegaconf.Container":
-        """The configuration of the run, from the attachment `config.yaml`; one object for all."""
+        """The configuration of the run, from the attachment `config.yaml`."""
         from resc.recording.configuration import parse
 
         if "config.yaml" not in self.attachments:
