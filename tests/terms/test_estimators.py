@@ -85,7 +85,7 @@ def test_an_estimate_is_there_when_an_episode_begins(make_env):
 FREE = ("scene=free", "obstacle_observation=none")
 
 
-def errors(env, steps=60):
+def errors(env, steps=35):
     """Root mean square errors of position, velocity and attitude, with random actions."""
     generator = torch.Generator().manual_seed(0)
     action, found = torch.zeros(env.num_envs, 4), []
