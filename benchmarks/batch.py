@@ -83,7 +83,7 @@ def parted(trainer: Trainer) -> Clock:
         (collector, "_renew", "scenes"),
         (collector, "collect", "batch kept"),
         (algorithm, "estimate_advantages", "advantages"),
-        (algorithm, "_slopes", "gradients"),
+        (algorithm, "_gradients", "gradients"),
         (algorithm, "_gradient_step", "clip and Adam"),
         (algorithm, "update", "samples shuffled"),
     ):

@@ -95,12 +95,12 @@ class Ppo(Algorithm):
         self.noise = generator_for(seed, "exploration", context.device)
         self.order = generator_for(seed, "minibatches", context.device)
         self._act: Callable[..., Figures] = self._act_eagerly
-        self._slopes: Callable[..., tuple[Figures, Tensor]] = self._slopes_eagerly
+        self._gradients: Callable[..., tuple[tuple[Tensor, ...], Tensor]] = self._gradients_eagerly
         self._losses = self._losses_of_sequences if self.remembers else self._losses_of_samples
         if context.compile and not self.remembers:
-            torch._dynamo.config.trace_autograd_ops = True  # losses and slopes are one program
+            torch._dynamo.config.trace_autograd_ops = True  # losses and gradients in one program
             self._act = torch.compile(self._act_eagerly, fullgraph=True, dynamic=False)
-            self._slopes = torch.compile(self._slopes_eagerly, fullgraph=True, dynamic=False)
+            self._gradients = torch.compile(self._gradients_eagerly, fullgraph=True, dynamic=False)
 
     @property
     def remembers(self) -> bool:
@@ -267,21 +267,25 @@ class Ppo(Algorithm):
         return list(zip(mean.to(rows.dtype), std.to(rows.dtype), strict=True))
 
     def _gradient_step(self, minibatch: Tensor | TensorDict, shared: Moments | None) -> Tensor:
-        slopes, told = self._slopes(minibatch, shared)
-        ranks.average_([*slopes, told])
-        for weight, slope in zip(self._weights, slopes, strict=True):
-            weight.grad = slope
+        gradients, told = self._gradients(minibatch, shared)
+        ranks.average_([*gradients, told])
+        for weight, gradient in zip(self._weights, gradients, strict=True):
+            weight.grad = gradient
         nn.utils.clip_grad_norm_(self._weights, self.max_grad_norm, foreach=True)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
         return told
 
-    def _slopes_eagerly(
+    def _gradients_eagerly(
         self, minibatch: Tensor | TensorDict, shared: Moments | None
-    ) -> tuple[Figures, Tensor]:
-        """The loss's derivative by each weight, and the figures [5]."""
+    ) -> tuple[tuple[Tensor, ...], Tensor]:
+        """Gradients of the loss, one for each of the weights, and its figures [5].
+
+        A weight that the loss does not depend on, in a network of one's own, has one of zeros.
+        """
         loss, *figures = self._losses(minibatch, shared)
-        return torch.autograd.grad(loss, self._weights), torch.stack(figures).detach()
+        gradients = torch.autograd.grad(loss, self._weights, materialize_grads=True)
+        return gradients, torch.stack(figures).detach()
 
     def _losses_of_samples(self, samples: Tensor, shared: Moments | None = None) -> Figures:
         """Of `_samples`."""

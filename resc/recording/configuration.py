@@ -14,7 +14,7 @@ from resc.errors import RecordingError
 
 
 def parse(document: bytes, origin: str) -> Container:
-    """The configuration in a document; whoever asks gets one of their own.
+    """The configuration in a document; every caller gets a copy of its own.
 
     Raises:
         RecordingError: It holds anything but a mapping; the message names the `origin`.

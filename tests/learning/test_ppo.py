@@ -80,6 +80,19 @@ def test_the_losses_and_their_gradients_are_those_of_torchrl(compose, entropy):
         torch.testing.assert_close(ours.grad, other)
 
 
+def test_a_weight_that_the_loss_does_not_depend_on_stays(trainer):
+    algorithm = trainer.algorithm
+    batch = trainer.collector.collect()
+    batch = batch.copy().update(algorithm.estimate_advantages(batch))
+    idle = torch.nn.Parameter(torch.ones(3))
+    algorithm._weights.append(idle)
+    algorithm.optimizer.add_param_group({"params": [idle]})
+    before = weights(trainer).clone()
+    algorithm._gradient_step(algorithm._samples(batch), None)
+    assert torch.equal(idle, torch.ones(3))
+    assert not torch.equal(weights(trainer), before)
+
+
 def test_same_seed_gives_the_same_weights_bit_for_bit(compose):
     first, second = (TrainingRun(compose(*SMALL)).trainer() for _ in range(2))
     for _ in range(2):
