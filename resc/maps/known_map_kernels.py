@@ -13,8 +13,8 @@ from resc.maps.distance_transform import square_window
 
 F = np.float32
 UNKNOWN = -128
-FEW = 24
-"""So many new obstacle cells are painted one by one."""
+FEW, FEW_FREED = 24, 8
+"""So many new obstacle cells are painted one by one, and around so many lost ones as well."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -205,25 +205,61 @@ def _renew(known, esdf, cells, model, resolution, truncation):
     """Renews the distance field where the given cells, which changed, can matter."""
     if cells.size == 0:
         return
-    height, width = known.shape
     occupied, reach = model[4], int(truncation / resolution) + 1
-    top, bottom, left, right, freed = height, -1, width, -1, False
+    sizes = reach, F(resolution), F(truncation)
+    taken = 0
+    for cell in cells:
+        taken += known.ravel()[cell] >= occupied
+    freed = cells.size - taken
+    if taken > FEW or freed > FEW_FREED:
+        window = _around(cells, known.shape, reach)
+        square_window(known, occupied, esdf, window, *sizes)
+        return
+    width = known.shape[1]
+    for cell in cells:
+        row, column = cell // width, cell % width
+        if known[row, column] >= occupied:
+            _paint(esdf, row, column, reach, F(resolution))
+    for cell in cells:
+        row, column = cell // width, cell % width
+        if known[row, column] < occupied:
+            window = _nearest_to(esdf, row, column, sizes)
+            square_window(known, occupied, esdf, window, *sizes)
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _around(cells, shape, reach):
+    """The window within reach of the given cells."""
+    height, width = shape
+    top, bottom, left, right = height, -1, width, -1
     for cell in cells:
         row, column = cell // width, cell % width
         top, bottom = min(top, row), max(bottom, row)
         left, right = min(left, column), max(right, column)
-        freed = freed or known[row, column] < occupied
-    if cells.size <= FEW and not freed:
-        for cell in cells:
-            _paint(esdf, cell // width, cell % width, reach, F(resolution))
-        return
-    window = (
+    return (
         max(0, top - reach),
         min(height, bottom + reach + 1),
         max(0, left - reach),
         min(width, right + reach + 1),
     )
-    square_window(known, occupied, esdf, window, reach, F(resolution), F(truncation))
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _nearest_to(esdf, row, column, sizes):
+    """The window of the cells whose distance is that to a given cell: all that its loss changes."""
+    reach, resolution, truncation = sizes
+    height, width = esdf.shape
+    top, bottom, left, right = row, row + 1, column, column + 1
+    for y in range(max(0, row - reach), min(height, row + reach + 1)):
+        rise = F((y - row) * (y - row))
+        for x in range(max(0, column - reach), min(width, column + reach + 1)):
+            distance = np.sqrt(rise + F((x - column) * (x - column))) * resolution
+            if esdf[y, x] == distance and distance < truncation:
+                top, bottom = min(top, y), max(bottom, y + 1)
+                left, right = min(left, x), max(right, x + 1)
+    return top, bottom, left, right
 
 
 @njit(error_model="numpy")
