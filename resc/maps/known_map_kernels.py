@@ -46,7 +46,12 @@ def scan(
     moving = np.zeros(height * width if moves else 0, np.int32)
     cells = np.empty(height * width, np.int32)
     beams = direction.shape[1]
-    reach = np.empty(beams, F)
+    reach, seen = np.empty(beams, F), np.empty(beams, np.int32)
+    longest = F(0)
+    for n in range(first, last):
+        for b in range(beams):
+            longest = max(longest, length[n, b])
+    along = np.empty((beams, int(longest / half) + 2), np.int32)
     for n in range(first, last):
         if not due[n]:
             continue
@@ -68,6 +73,7 @@ def scan(
                     break
                 column, row = _cell(x, y, per_m, width, height)
                 cell = row * width + column
+                along[b, k] = cell
                 if true[cell] <= F(0) or (moves and moving[cell] == mark):
                     at = F(k) * half
                     measured = max(at + offset[n, b] + growth[n, b] * (at * at), F(0))
@@ -81,10 +87,17 @@ def scan(
                             counted = _add(known, cell, model[0], model, cells, counted)
                     break
                 k += 1
+            seen[b] = k
         for b in range(beams):
             ux, uy = direction[n, b, 0], direction[n, b, 1]
             k, far = 0, min(reach[b], length[n, b])
-            while F(k) * half < far:
+            while k < seen[b] and F(k) * half < far:
+                cell = along[b, k]
+                if stamp[cell] < mark:
+                    stamp[cell] = mark + 1
+                    counted = _add(known, cell, model[1], model, cells, counted)
+                k += 1
+            while F(k) * half < far:  # an error of the depth leads beyond what was hit
                 x, y = x0 + ux * (F(k) * half), y0 + uy * (F(k) * half)
                 if not (x >= F(0) and y >= F(0) and x < wide and y < high):
                     break

@@ -1,7 +1,6 @@
 """Replanning in flight, on the map that each vehicle knows."""
 
 from collections.abc import Mapping, Sequence
-from math import cos, pi
 from typing import Annotated, Literal
 
 import numpy as np
@@ -38,10 +37,9 @@ class InFlight(Replanning):
     arrive, `latency_steps` after the map that they are planned on. The first route of an episode is
     planned at once, on what the first look shows.
 
-    A route that turns, one that begins at more than `turn_rad` to the motion of the vehicle, is
-    taken only if it is shorter by `turn_m` than the shortest one that does not. A vehicle in motion
-    cannot follow a corner: it would swing into what the route leads round. And as the map grows the
-    shortest way may lie now on this side, now on the other.
+    A route that begins against the motion of the vehicle is taken only if it is shorter by `turn_m`
+    than the shortest one that does not: turning back costs time, and as the map grows the shortest
+    way may lie now on this side, now on the other.
 
     An end inside the clearance is moved to the nearest free cell within `link_m`, and flagged.
     Where no way to the goal is known, the control points become the place where that was found, and
@@ -55,8 +53,7 @@ class InFlight(Replanning):
         clearance_m: What a new route keeps from known obstacles; null for what the first one kept,
             or the margin where that is not known.
         link_m: How far an end may be moved out of the clearance.
-        turn_m: How much longer a route may be that goes on than one that turns.
-        turn_rad: From which angle to the motion of the vehicle on a route turns.
+        turn_m: How much longer a route may be that goes on than one that turns back.
         seen_m: How near the vehicle a route has to lead through cells that were seen.
         edge_m: How far new routes stay from the sides of the map; a nearer end is moved, as one
             inside the clearance is.
@@ -117,8 +114,6 @@ class InFlight(Replanning):
         clearance_m: Positive | None = 0.4,
         link_m: NotNegative = 1.0,
         turn_m: NotNegative = 4.0,
-        turn_rad: Annotated[float, Within(0, pi, above=True)] = pi / 2,
-        same_m: NotNegative = 0.0,
         seen_m: NotNegative = 1.0,
         edge_m: NotNegative = 0.0,
         latency_steps: Annotated[int, Within(0, 50)] = 1,
@@ -141,18 +136,7 @@ class InFlight(Replanning):
         self.latency_steps = latency_steps
         self.points = points
         limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
-        turn = round(cos(turn_rad), 12)  # none at a right angle
-        self.numbers = (
-            ahead_m,
-            margin_m,
-            same_m,
-            link_m,
-            turn_m,
-            turn,
-            seen_m,
-            edge_m,
-            max_expansions,
-        )
+        self.numbers = (ahead_m, margin_m, link_m, turn_m, seen_m, edge_m, max_expansions)
         self.limits = limits
         self.released = rule == "released"
         # numba: once a kernel that calls it is loaded from its cache, a function that gives arrays

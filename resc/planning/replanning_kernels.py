@@ -1,18 +1,16 @@
 """Routes renewed in flight, on the map that each vehicle knows: compiled loops over environments.
 
 `settings` are the edge of a cell [m], how far ahead of the vehicle a route is checked [m], what it
-must keep [m], by how much a route that stays on the side of the old one may be longer [m], how far
-an end inside the clearance may be moved [m], by how much a route that goes on may be longer than
-one that turns [m], the cosine of the angle to the motion from which on one
-turns, within which distance of the vehicle cells have to be seen [m], how far from the sides of the
-map new routes stay [m], the greatest number of expansions, the spacing of control points, and
-whether they follow the released rule (`resc.planning.control_points`).
+must keep [m], how far an end inside the clearance may be moved [m], by how much a route that goes
+on may be longer than one that turns back [m], within which distance of the vehicle cells have to be
+seen [m], how far from the sides of the map new routes stay [m], the greatest number of expansions,
+the spacing of control points, and whether they follow the released rule
+(`resc.planning.control_points`).
 """
 
 from math import floor, hypot, sqrt
 from typing import no_type_check
 
-import numpy as np
 from numba import njit
 
 from resc.maps.known_map_kernels import UNKNOWN
@@ -26,10 +24,8 @@ ON_ROUTE, RENEWED, CLOSED_OFF, GAVE_UP = range(4)
 
 SLOW_MPS = 0.5
 """A slower vehicle may turn to any side."""
-ONWARD_M, BESIDE_M = 2.5, 0.3
-"""How far a route goes on before it may turn, and what still lies beside a vehicle."""
-PASSED_M = 0.6
-"""A control point within so far is about to be passed."""
+BEHIND_M, BESIDE_M = 2.5, 0.3
+"""How far a vehicle that goes on keeps from the way it came, and what still lies beside it."""
 
 
 @njit(cache=True, nogil=True)
@@ -82,8 +78,9 @@ def renew(
         counts: Written: how many of them.
         moved: Written: whether start or goal had to be moved out of the clearance.
     """
-    cell_m, look_m, margin_m, same_m, link_m, turn_m, turn = settings[:7]
-    seen_m, edge_m, expansions, limits, released = settings[7:]
+    cell_m, look_m, margin_m, link_m, turn_m, seen_m, edge_m, expansions, limits, released = (
+        settings
+    )
     _, height, width = esdf.shape
     work = workspace(height * width, 8 * height * width)
     query = 0
@@ -102,29 +99,40 @@ def renew(
         if not always[n] and _is_clear(known, seen, corner, cell_m, position[n], way, reach):
             status[n] = ON_ROUTE
             continue
-        frame = (corner[0] + 0.5 * cell_m, corner[1] + 0.5 * cell_m, cell_m)
-        motion = position[n, 0], position[n, 1], velocity[n, 0], velocity[n, 1], turn
         squared = floor((clearance[n] / cell_m) ** 2 + 1e-9)
-        room = _room(known, sqrt(squared) * cell_m + 1e-4, edge_m, cell_m)
+        least = sqrt(squared) * cell_m + 1e-4
+        room = known <= least
+        edge = int(edge_m / cell_m + 0.5)
+        if edge > 0:
+            room[:edge], room[rows - edge :] = True, True
+            room[:, :edge], room[:, columns - edge :] = True, True
+        frame = (corner[0] + 0.5 * cell_m, corner[1] + 0.5 * cell_m, cell_m)
         start = _freed(room, position[n], frame, link_m)
         end = _freed(room, goal[n], frame, link_m)
         if start[2] < 0 or end[2] < 0:
             status[n] = CLOSED_OFF
             continue
-        query += 5
-        far = seen_m, turn_m
-        found, path, chart = _way(
-            room, seen, (start, end), motion, frame, far, expansions, query, work
-        )
-        if found != FOUND:
-            status[n] = GAVE_UP if found == BUDGET else CLOSED_OFF
+        chart = room.copy()
+        _close_unseen(chart, seen, position[n], frame, seen_m)
+        query += 3
+        if chart[start[3], start[2]] or chart[end[3], end[2]]:
+            chart = room
+        found = _found(chart, start, end, frame, expansions, query, work)
+        if found[0] != FOUND:  # then by what is unseen, if there is such a way
+            chart = room
+            found = _found(chart, start, end, frame, expansions, query + 1, work)
+        if found[0] != FOUND:
+            status[n] = GAVE_UP if found[0] == BUDGET else CLOSED_OFF
             continue
-        if same_m > 0 and not always[n]:
-            by = _freed(chart, _beyond(way, position[n]), frame, link_m)
-            other = _by_way_of(chart, (start, by, end), frame, expansions, query + 3, work)
-            near = _length(other) <= _length(path) + same_m
-            if len(other) > 0 and near and not _turns(other, motion):
-                path = other
+        path = work[-1][: found[1]].copy()
+        if _turns_back(path, velocity[n]):
+            onward = chart.copy()
+            _close_behind(onward, position[n], velocity[n], frame)
+            if not onward[start[3], start[2]] and not onward[end[3], end[2]]:
+                found = _found(onward, start, end, frame, expansions, query + 2, work)
+                other = work[-1][: found[1]]
+                if found[0] == FOUND and _length(other) <= _length(path) + turn_m:
+                    path, chart = other.copy(), onward
         if released:
             points = released_points(path, limits)
         else:
@@ -141,78 +149,6 @@ def renew(
         counts[n] = min(at + len(points), fresh.shape[1])
         fresh[n, counts[n] - 1, 0] = points[len(points) - 1, 0]
         fresh[n, counts[n] - 1, 1] = points[len(points) - 1, 1]
-
-
-@njit(cache=True)
-@no_type_check
-def _room(known, least_m, edge_m, cell_m):
-    """The cells that a route must not use: at most so far from an obstacle, or nearer to a side."""
-    rows, columns = known.shape
-    room = known <= least_m
-    edge = int(edge_m / cell_m + 0.5)
-    if edge > 0:
-        room[:edge], room[rows - edge :] = True, True
-        room[:, :edge], room[:, columns - edge :] = True, True
-    return room
-
-
-@njit(cache=True)
-@no_type_check
-def _way(room, seen, ends, motion, frame, far, expansions, query, work):
-    """What the exact search finds in a room: its status, the path [m], and the chart it is on.
-
-    Near the vehicle through cells that were seen, if there is such a way, and without a turn unless
-    that is shorter by as much as is asked.
-    """
-    (start, end), (seen_m, turn_m) = ends, far
-    chart = room.copy()
-    _close_unseen(chart, seen, motion, frame, seen_m)
-    if chart[start[3], start[2]] or chart[end[3], end[2]]:
-        chart = room
-    found = _found(chart, start, end, frame, expansions, query, work)
-    if found[0] != FOUND:  # then by what is unseen, if there is such a way
-        chart = room
-        found = _found(chart, start, end, frame, expansions, query + 1, work)
-    path = work[-1][: found[1]].copy()
-    if found[0] == FOUND and _turns(path, motion):
-        onward = chart.copy()
-        _close_turns(onward, motion, frame)
-        if not onward[start[3], start[2]] and not onward[end[3], end[2]]:
-            other = _found(onward, start, end, frame, expansions, query + 2, work)
-            onto = work[-1][: other[1]]
-            if other[0] == FOUND and _length(onto) <= _length(path) + turn_m:
-                return FOUND, onto.copy(), onward
-    return found[0], path, chart
-
-
-@njit(cache=True)
-@no_type_check
-def _beyond(way, position):
-    """The next control point that the vehicle is not about to pass [m]; the last one without."""
-    for k in range(len(way)):
-        if hypot(way[k, 0] - position[0], way[k, 1] - position[1]) > PASSED_M:
-            return way[k]
-    return way[len(way) - 1]
-
-
-@njit(cache=True)
-@no_type_check
-def _by_way_of(chart, stops, frame, expansions, query, work):
-    """The shortest path over three stops [m], without points where there is none."""
-    start, by, end = stops
-    first = work[-1][:0].copy()
-    if by[2] < 0:
-        return first
-    found = _found(chart, start, by, frame, expansions, query, work)
-    if found[0] != FOUND:
-        return first
-    first = work[-1][: found[1]].copy()
-    found = _found(chart, by, end, frame, expansions, query + 1, work)
-    if found[0] != FOUND:
-        return first[:0]
-    path = np.empty((len(first) + found[1] - 1, 2))
-    path[: len(first)], path[len(first) :] = first, work[-1][1 : found[1]]
-    return path
 
 
 @njit(cache=True)
@@ -259,15 +195,15 @@ def _is_clear(known, evidence, corner, cell_m, position, way, reach):
 
 @njit(cache=True)
 @no_type_check
-def _close_unseen(blocked, evidence, motion, frame, seen_m):
+def _close_unseen(blocked, evidence, position, frame, seen_m):
     """Blocks the cells near the vehicle that it has not seen, but those that it is in."""
     x0_m, y0_m, cell_m = frame
     height, width = blocked.shape
     reach = int(seen_m / cell_m) + 1
-    column, row = int((motion[0] - x0_m) / cell_m), int((motion[1] - y0_m) / cell_m)
+    column, row = int((position[0] - x0_m) / cell_m), int((position[1] - y0_m) / cell_m)
     for y in range(max(0, row - reach), min(height, row + reach + 1)):
         for x in range(max(0, column - reach), min(width, column + reach + 1)):
-            away = hypot(x0_m + x * cell_m - motion[0], y0_m + y * cell_m - motion[1])
+            away = hypot(x0_m + x * cell_m - position[0], y0_m + y * cell_m - position[1])
             if evidence[y, x] == UNKNOWN and BESIDE_M < away < seen_m:
                 blocked[y, x] = True
 
@@ -295,34 +231,29 @@ def _freed(blocked, point, frame, link_m):
 
 @njit(cache=True)
 @no_type_check
-def _turns(path, motion):
-    """Whether a path begins at a wide angle to the motion of a vehicle that is not slow."""
-    _, _, u, v, turn = motion
-    speed = hypot(u, v)
-    if len(path) < 2 or speed < SLOW_MPS:
+def _turns_back(path, velocity):
+    """Whether a path begins against the motion of a vehicle that is not slow."""
+    if len(path) < 2 or hypot(velocity[0], velocity[1]) < SLOW_MPS:
         return False
-    east, north = path[1, 0] - path[0, 0], path[1, 1] - path[0, 1]
-    return east * u + north * v < turn * speed * hypot(east, north)
+    along = (path[1, 0] - path[0, 0]) * velocity[0] + (path[1, 1] - path[0, 1]) * velocity[1]
+    return along < 0
 
 
 @njit(cache=True)
 @no_type_check
-def _close_turns(blocked, motion, frame):
-    """Blocks the cells near the vehicle at a wide angle to its motion, but those next to it."""
+def _close_behind(blocked, position, velocity, frame):
+    """Blocks the cells near the vehicle that lie against its motion, but those next to it."""
     x0_m, y0_m, cell_m = frame
     height, width = blocked.shape
-    here_x, here_y, u, v, turn = motion
-    speed = hypot(u, v)
-    reach = int(ONWARD_M / cell_m)
-    column, row = int((here_x - x0_m) / cell_m), int((here_y - y0_m) / cell_m)
+    speed = hypot(velocity[0], velocity[1])
+    reach = int(BEHIND_M / cell_m)
+    column, row = int((position[0] - x0_m) / cell_m), int((position[1] - y0_m) / cell_m)
     for y in range(max(0, row - reach), min(height, row + reach + 1)):
         for x in range(max(0, column - reach), min(width, column + reach + 1)):
-            east, north = x0_m + x * cell_m - here_x, y0_m + y * cell_m - here_y
-            if BESIDE_M**2 < east * east + north * north <= ONWARD_M * ONWARD_M:
-                along = (east * u + north * v) / speed + BESIDE_M
-                across = (north * u - east * v) / speed
-                if along < turn * hypot(along, across):
-                    blocked[y, x] = True
+            east, north = x0_m + x * cell_m - position[0], y0_m + y * cell_m - position[1]
+            along = (east * velocity[0] + north * velocity[1]) / speed
+            if along < -BESIDE_M and east * east + north * north <= BEHIND_M * BEHIND_M:
+                blocked[y, x] = True
 
 
 @njit(cache=True)
