@@ -18,6 +18,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from resc import garbage as garbage  # first: nothing is collected while this starts
 from resc import schema
 from resc.console import logged
 from resc.evaluation.campaign import Evaluation

@@ -17,6 +17,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from resc import garbage as garbage  # first: nothing is collected while this starts
 from resc import ranks, schema
 from resc.console import logged
 from resc.envs.terms_table import describe
