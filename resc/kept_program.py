@@ -25,7 +25,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from resc import BEGAN_S
+import resc
 
 PACKAGE = Path(__file__).parent
 READ = ("tensordict", "torchrl", "jaxtyping")
@@ -49,12 +49,18 @@ def compiled(function: Function, facts: str = "") -> Function:
     return _Kept(function, fresh, facts) if facts and _is_as_imported() else fresh
 
 
-def facts_of(config: Mapping[str, Any], plain: Callable[[Any], Any]) -> str:
-    """Every part that a configuration describes; empty where others' code or a GPU belong to it."""
-    if config.get("allowed_targets") or str(config["device"]) != "cpu":
+def facts_of(parts: Mapping[str, Any], *, allowed: Sequence[str], device: object) -> str:
+    """Parts of a configuration as text; empty where others' code or a GPU belongs to them.
+
+    Args:
+        parts: By name; single settings, such as the seed, are left out.
+        allowed: Prefixes of code outside this package that they may name.
+        device: Where they run.
+    """
+    if allowed or str(device) != "cpu":
         return ""
-    parts = {str(key): plain(value) for key, value in config.items() if isinstance(value, Mapping)}
-    return json.dumps(parts, default=repr)
+    groups = {str(name): part for name, part in parts.items() if isinstance(part, Mapping)}
+    return json.dumps(groups, default=repr)
 
 
 class _Kept:
@@ -141,7 +147,7 @@ def _machine() -> tuple[str | None, ...]:
 
 def _is_as_imported() -> bool:
     """Whether no source file of this package has changed since, or just before, it was imported."""
-    return all(path.stat().st_ctime < BEGAN_S - JUST_NOW_S for path in PACKAGE.rglob("*.py"))
+    return all(path.stat().st_ctime < resc.BEGAN_S - JUST_NOW_S for path in PACKAGE.rglob("*.py"))
 
 
 def _folder() -> Path:

@@ -2,19 +2,10 @@
 
 import pytest
 import torch
+from straight_line import Line
 
 from resc import kept_program
 from resc.kept_program import compiled, facts_of
-
-
-class Line:
-    """A function with a number of its own."""
-
-    def __init__(self, slope):
-        self.slope = slope
-
-    def at(self, x):
-        return self.slope * x + 1
 
 
 @pytest.fixture
@@ -24,6 +15,11 @@ def programs(tmp_path, monkeypatch):
     monkeypatch.setattr(kept_program, "_is_as_imported", lambda: True)
     torch.compiler.reset()
     return tmp_path
+
+
+def refuse(*_):
+    """In place of a compiler."""
+    raise AssertionError("it was compiled again")
 
 
 def read(programs):
@@ -36,7 +32,7 @@ X = torch.tensor([1.0, 2.0])
 def test_a_program_is_kept_and_taken_up(programs, monkeypatch):
     assert compiled(Line(3.0).at, "line")(X).tolist() == [4, 7]
     (name,) = read(programs)
-    monkeypatch.setattr(torch, "compile", lambda function, **_: None)  # there is nothing to compile
+    monkeypatch.setattr(torch, "compile", lambda function, **_: refuse)
     assert compiled(Line(3.0).at, "line")(X).tolist() == [4, 7]
     assert read(programs) == [name]
 
@@ -91,9 +87,11 @@ def test_what_cannot_be_read_is_compiled_as_ever(programs):
 
 
 def test_facts_are_all_parts_of_a_configuration_and_none_with_code_of_others():
-    config = {"device": "cpu", "seed": 1, "reward": {"time": {"weight": 1.0}}}
-    facts = facts_of(config, dict)
-    assert facts == facts_of(config | {"seed": 2}, dict)
-    assert facts != facts_of(config | {"reward": {"time": {"weight": 2.0}}}, dict)
-    assert not facts_of(config | {"allowed_targets": ["mine."]}, dict)
-    assert not facts_of(config | {"device": "cuda"}, dict)
+    def facts(weight, seed=1, allowed=(), device="cpu"):
+        parts = {"seed": seed, "reward": {"time": {"weight": weight}}}
+        return facts_of(parts, allowed=allowed, device=device)
+
+    assert facts(1.0) == facts(1.0, seed=2)
+    assert facts(1.0) != facts(2.0)
+    assert not facts(1.0, allowed=["mine."])
+    assert not facts(1.0, device="cuda")

@@ -89,7 +89,7 @@ class TrainingRun:
             compiled=config["compile"],
             seed=seed,
             closed=CLOSED_BATCHES * renewed,
-            facts=facts_of(config, plain),
+            facts=self._facts(config),
         )
         algorithm = self.algorithm(env.stages)
         trainer = Trainer(env, algorithm, renew_scenes=renewed, curricula=curricula)
@@ -119,7 +119,7 @@ class TrainingRun:
             seed=config["seed"],
             device=config["device"],
             compile=config["compile"],
-            facts=facts_of(config, plain),
+            facts=self._facts(config),
         )
         node = config["algorithm"]
         algorithm = build(node, "algorithm", allowed=allowed, kind=Algorithm, context=context)
@@ -142,6 +142,12 @@ class TrainingRun:
             overrides=self.overrides,
             allowed=config["allowed_targets"],
         )
+
+    def _facts(self, rules: Mapping[Any, Any]) -> str:
+        """What programs of an environment or an algorithm are made of."""
+        parts = plain(OmegaConf.create({**rules}))
+        allowed, device = self.config["allowed_targets"], self.config["device"]
+        return facts_of(parts, allowed=allowed, device=device)
 
     def recorder(self, trainer: Trainer, folder: Path) -> RolloutRecorder | None:
         """The recorder of the training in a folder; None where recorder=none."""
@@ -238,7 +244,7 @@ class TrainingRun:
         """The environment of the held-out episodes, one a row."""
         rules = self._held_out_run
         setup = set_up(rules, size=episodes, seed=rules["seed"])
-        facts = facts_of(rules, plain)
+        facts = self._facts(rules)
         return setup.env(
             episodes, compiled=compiled, seed=rules["seed"], in_order=True, facts=facts
         )
