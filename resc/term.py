@@ -414,12 +414,9 @@ class Observation(Term):
 
         (x, y) -> (c x + s y, c y - s x), `heading` being the yaw's cosine and sine [n, 2].
         """
-        vectors = self.vectors
-        if not vectors:
-            return raw
         cosine, sine = heading.unbind(-1)
         columns = list(raw.unbind(-1))
-        for i, j in vectors:
+        for i, j in self.vectors:
             x, y = columns[i], columns[j]
             columns[i], columns[j] = cosine * x + sine * y, cosine * y - sine * x
         return torch.stack(columns, -1)
