@@ -21,7 +21,7 @@ from shown import ROOT, blocks, commands, is_shell
 from shown_started import started
 
 from resc.log_command import build_parser
-from resc.starting.launch import quoted_paths
+from resc.starting.arguments import quoted_paths
 
 TRAIN = (
     *("compile=false", "num_envs=8", "total_frames=512", "pool_size=8", "renew_scenes=0"),
