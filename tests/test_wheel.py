@@ -11,7 +11,7 @@ import pytest
 
 import resc
 
-pytestmark = pytest.mark.slow  # `make test-users` runs them
+pytestmark = pytest.mark.slow  # `make test-long` runs them
 ROOT = Path(__file__).parents[1]
 SOURCES = ("resc", "hydra_plugins", "conf", "policies", "docs/results")
 FILES = (
