@@ -12,7 +12,7 @@ EXTRAS := dev benchmark bound dataframes docs estimation examples export link ma
 NODE_PACKAGES := @mcap/core@2.2.2 @mcap/support@1.1.0 protobufjs@8.8.1
 RERUN := rerun-sdk==0.41.0
 
-.PHONY: demo train reproduce baselines test gpu readers docs check check-format check-lint check-types format lock clean help
+.PHONY: demo train reproduce baselines test test-long gpu readers docs check check-format check-lint check-types format lock clean help
 .DEFAULT_GOAL := help
 
 demo: $(STAMP) ## Fly the shipped policy through the default scene.
@@ -36,6 +36,11 @@ baselines: $(STAMP) ## Fly the policy and the planners it is compared with, and 
 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
 	$(PY) -m pytest -n auto --maxprocesses 4 --dist worksteal $(ARGS)
+
+LONG := tests/envs/test_compiled.py::test_the_step_is_one_graph_and_another_difficulty_needs_no_other tests/test_wheel.py tests/deployment/test_export.py tests/test_examples.py tests/pages/test_browser.py tests/viewing/test_rerun_browser.py
+
+test-long: $(STAMP) ## Run the slow tests that CI runs, too: wheel, files of a policy, examples, notebook, pages in a browser, the traced step.
+	$(PY) -m pytest -n auto --maxprocesses 2 --dist worksteal -m slow $(LONG) $(ARGS)
 
 gpu: $(STAMP) ## Check on a GPU what can only be checked there, and measure it: under five minutes.
 	$(PY) -m pytest -q -m gpu

@@ -18,6 +18,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from resc import garbage as garbage  # first: nothing is collected while this starts
 from resc import schema
 from resc.console import logged
 from resc.evaluation.campaign import Evaluation
@@ -29,8 +30,9 @@ from resc.policies.stored import load_policy, policy_folder
 from resc.process import prepare_process
 from resc.run_folder import claimed
 from resc.settings import check_settings, refuse_beside
-from resc.starting.composed import compose_scenes
-from resc.starting.launch import answering, launch, refuse_doubles
+from resc.starting.answers import answering
+from resc.starting.composed import compose_scenes, refuse_doubles
+from resc.starting.launch import launch
 
 REPLAYED = ("replay", "allowed_targets", "threads", "name")
 """Settings that a replay heeds; all others are the recording's."""

@@ -17,6 +17,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from resc import garbage as garbage  # first: nothing is collected while this starts
 from resc import ranks, schema
 from resc.console import logged
 from resc.envs.terms_table import describe
@@ -28,7 +29,9 @@ from resc.pages.write import leave_page
 from resc.process import prepare_process
 from resc.run_folder import CONFIG, finish_run, link_latest, put_aside, succeeded
 from resc.settings import RESUMABLE, check_settings
-from resc.starting.launch import answering, launch, refuse_doubles
+from resc.starting.answers import answering
+from resc.starting.composed import refuse_doubles
+from resc.starting.launch import launch
 from resc.starting.origin import note_origin
 from resc.sweep_folder import go_on
 

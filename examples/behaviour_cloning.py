@@ -38,6 +38,7 @@ from resc.errors import RecordingError, RescError
 from resc.flying.replay import recorded_config
 from resc.learning.offline import replay_buffer
 from resc.learning.training_run import TrainingRun
+from resc.places import CONF
 from resc.policies.stored import POLICY
 from resc.process import prepare_process
 from resc.recording import RolloutLog
@@ -45,7 +46,7 @@ from resc.recording.datasets import is_dataset, read_dataset, require_same_names
 from resc.recording.selection import TRAJECTORY, Selection
 from resc.settings import check_settings
 from resc.setup import build_stages
-from resc.starting.launch import CONF, refused
+from resc.starting.answers import refused
 
 SEES = ("env", "observation")
 """Groups of the configuration that say what the student sees."""

@@ -14,9 +14,9 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from resc.build import build
+from resc.command_line import differing
 from resc.errors import ConfigError
 from resc.starting.origin import key_of, python_path, require_own_folder, says_how
-from resc.studies.study import differing
 from resc.sweep_folder import difference, plain
 from resc.sweeps.jobs import Job, Outcome
 from resc.sweeps.launchers import Backend

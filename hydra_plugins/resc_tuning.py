@@ -17,13 +17,10 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from hydra_plugins.resc_sweeps import SweepLauncher
-from resc.command_line import override
+from resc.command_line import override, split_override
 from resc.errors import ConfigError, SweepError, nearest, needed
 from resc.run_folder import SUMMARY, summary_of
-from resc.studies.study import split_override
-from resc.studies.tuning import write_report
 from resc.studies.tuning_study import best_trials, open_study, read_tuning
-from resc.studies.tuning_text import command_for_best, shown
 from resc.sweep_folder import go_on
 from resc.sweeps.jobs import Outcome
 from resc.sweeps.sweep import require_success
@@ -159,6 +156,8 @@ class OptunaSweeper(Sweeper):
         Raises:
             ConfigError: The sweep tuned something else, or holds no finished trial.
         """
+        from resc.studies.tuning_text import shown  # Hydra imports this file for every command
+
         folder = Path(str(self.best_of)).resolve()
         chosen = best_trials(folder, self.best)
         if tuned.keys() != chosen[0].params.keys():
@@ -230,6 +229,9 @@ class OptunaSweeper(Sweeper):
         return math.nan if value is None else float(value)
 
     def _conclude(self, study: Any, unfinished: Sequence[Outcome]) -> None:  # noqa: ANN401 - Optuna's
+        from resc.studies.tuning import write_report
+        from resc.studies.tuning_text import command_for_best
+
         folder = self.launcher.folder
         done = [t for t in study.trials if t.value is not None]
         if done:

@@ -5,12 +5,16 @@ when they are first asked for. Gymnasium knows `resc/Flight-v0` (docs/gymnasium.
 """
 
 import os
+import time
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
 if TYPE_CHECKING:
     from resc.door import load, load_policy, make_env
+
+BEGAN_S = time.time()
+"""When the package was imported, all but this file of it later."""
 
 __all__ = ["load", "load_policy", "make_env"]
 

@@ -24,6 +24,18 @@ def override(key: str, value: Value) -> str:
     return f"{key}={'null' if value is None else str(value).lower()}"
 
 
+def split_override(text: str) -> tuple[str, str]:
+    """Key and value of an override."""
+    key, _, value = text.lstrip("+").partition("=")
+    return key, value
+
+
+def differing(runs: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
+    """Of each run, the overrides that not all runs share."""
+    shared = set[str]().union(*runs).intersection(*runs)
+    return [tuple(text for text in run if text not in shared) for run in runs]
+
+
 def command(script: str, overrides: Mapping[str, Value]) -> str:
     """The line that starts a script, such as `python train.py resume=runs/latest_train`."""
     return shell(*starting(script), *(override(key, value) for key, value in overrides.items()))

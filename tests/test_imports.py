@@ -5,7 +5,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"cuda_graph", "errors", "keys", "moved", "places"},
+    {"cuda_graph", "errors", "garbage", "kept_program", "keys", "moved", "places"},
     {"ranks"},
     {
         "console",

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from resc.command_line import command, override
 from resc.errors import ConfigError, SweepError
 from resc.flying.held_out import read_episodes
-from resc.starting.launch import quoted_paths, resumed_sweep
+from resc.starting.arguments import quoted_paths, resumed_sweep
 from resc.starting.origin import claim
 from resc.studies.ablation import write_report
 from resc.sweeps.jobs import Job, Outcome

@@ -21,7 +21,7 @@ from shown import ROOT, blocks, commands, is_shell
 from shown_started import started
 
 from resc.log_command import build_parser
-from resc.starting.launch import quoted_paths
+from resc.starting.arguments import quoted_paths
 
 TRAIN = (
     *("compile=false", "num_envs=8", "total_frames=512", "pool_size=8", "renew_scenes=0"),
@@ -87,11 +87,14 @@ NAMES = {
     ),
     r"cloning.py runs/latest_train": "cloning.py runs/latest_evaluation",  # where some succeed
     r"--into mine": "--into compared",
+    r"runs/<sweep>": "runs/latest_sweep",
     r"FOLDER \.\.\.": "runs/latest_train",
 }
 """What a reader puts into a command, or what the small runs have."""
 TUNED = "python train.py -m +experiment=tune_reward hydra.sweep.dir=runs/tuned"
 FIRST = {
+    "resume=runs/latest_sweep": "python train.py -m obstacle_observation=kgp_esdf,none seed=0",
+    "=2 train.py resume": "torchrun --nproc-per-node=2 train.py",
     "resume=runs/tuned": TUNED,
     "best_of": TUNED,
     "resc.studies.tuning": "python train.py -m +experiment=tune_reward",
@@ -130,7 +133,7 @@ OTHERWISE = {
     "python -m benchmarks.planning": "measures for minutes, and has no arguments",
     "python benchmarks/link.py": "measures for minutes, and has no --help",
     "resc-log identify flight.ulg": "tests/flight_logs/test_identify.py, on the log of a flight",
-    "resc-log rerun runs/latest_train": "tests/recording/test_rerun.py, where Rerun is installed",
+    "resc-log rerun": "tests/viewing/test_rerun.py, where Rerun is installed",
     "python tests/viewing/rerun_viewer.py": "tests/viewing/test_rerun_browser.py, in a browser",
     "launcher=ray": "tests/test_scale.py, where Ray is installed",
 }
@@ -273,10 +276,6 @@ BEFORE = {
 import numpy as np
 occupancy = np.zeros((100, 100), bool)
 """,
-    "docs/evaluation.md": """
-import resc
-env = resc.make_env("scene=paper4_map15", "task=from_rest", num_envs=2, in_order=True)
-""",
 }
 """What the text of a page takes for given."""
 OF_RERUN = "rerun"
@@ -348,8 +347,8 @@ def test_the_programs_of_a_page_run_one_after_the_other(page, prepared, run_once
     programs = [
         b.text for b in blocks() if b.page == page and b.language == "python" and not b.file
     ]
-    if not find_spec(OF_RERUN):
-        programs = [text for text in programs if OF_RERUN not in text]
     text = "\n".join((BEFORE.get(page, ""), *programs)).replace("success=True, ", "")
+    if not find_spec(OF_RERUN):
+        text = "\n".join(line for line in text.splitlines() if OF_RERUN not in line)
     (folder / "shown.py").write_text(text)
     run_once(folder, "python shown.py")

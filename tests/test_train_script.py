@@ -19,7 +19,7 @@ from resc.recording.reader import RolloutLog
 from resc.run_folder import is_finished, summary_of
 from resc.schema import TrainSchema
 from resc.settings import check_settings, refuse_beside
-from resc.starting.launch import in_its_folder, resumed_sweep
+from resc.starting.arguments import in_its_folder, resumed_sweep
 
 BUDGET = 256
 RUN = [

@@ -11,6 +11,7 @@ import pytest
 
 import resc
 
+pytestmark = pytest.mark.slow  # `make test-long` runs them
 ROOT = Path(__file__).parents[1]
 SOURCES = ("resc", "hydra_plugins", "conf", "policies", "docs/results")
 FILES = (
@@ -81,7 +82,6 @@ def installed(wheel, tmp_path):
     return run
 
 
-@pytest.mark.slow
 def test_a_wheel_trains_evaluates_and_reads_logs_in_an_empty_folder(installed):
     installed("resc-train", *TINY)
     told = installed("resc-evaluate", "policy=latest", "scenes=[free]", "flights=2")
@@ -89,7 +89,6 @@ def test_a_wheel_trains_evaluates_and_reads_logs_in_an_empty_folder(installed):
     assert "episodes" in installed("resc-log", "info", "runs/latest_train")
 
 
-@pytest.mark.slow
 def test_a_sweep_of_a_wheel_starts_its_runs_from_it(installed):
     told = installed("resc-train", "-m", "seed=0,1", *TINY)
     assert "2 runs go to" in told

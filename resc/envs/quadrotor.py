@@ -13,6 +13,7 @@ from resc.envs.stages import Stages, StepOutput, World
 from resc.envs.torchrl_face import TorchRlFace
 from resc.envs.trial import check_terms, require_torch
 from resc.errors import CallError, ConfigError
+from resc.kept_program import compiled as compiled_program
 from resc.process import require_memory
 from resc.scenes.pool import ScenePool
 
@@ -39,6 +40,8 @@ class QuadrotorEnv(TorchRlFace):
             entries: for evaluation.
         closed: Entries of the pool, next in turn for renewal, that no episode starts in.
         tried: Whether every term is tried first (`resc.envs.trial`); false for terms that were.
+        facts: What step and reset depend on, so that their programs can be kept
+            (`resc.kept_program`); empty where they are not.
 
     Episodes begin at full difficulty unless `set_difficulty` says otherwise.
     """
@@ -55,6 +58,7 @@ class QuadrotorEnv(TorchRlFace):
         in_order: bool = False,
         closed: int = 0,
         tried: bool = True,
+        facts: str = "",
     ) -> None:
         if num_envs < 1:
             raise ConfigError(f"num_envs is {num_envs}; expected at least 1.")
@@ -69,13 +73,11 @@ class QuadrotorEnv(TorchRlFace):
         self.steps_taken = 0
         self.chunk = max(min(num_envs, 8), num_envs // 32)
         self._step_function = stages.step
-        self._restart_function = self._restart_rows
+        self._restart_function = stages.restart_rows
         if compiled:
             require_torch(stages)
-            self._step_function = torch.compile(stages.step, fullgraph=True, dynamic=False)
-            self._restart_function = torch.compile(
-                self._restart_rows, fullgraph=True, dynamic=False
-            )
+            self._step_function = compiled_program(stages.step, facts)
+            self._restart_function = compiled_program(stages.restart_rows, facts)
         self.graphed = compiled and self.device.type == "cuda" and not stages.waits
         if self.graphed:
             self._step_graph = CudaGraph(self._step_in_place)
@@ -274,23 +276,6 @@ class QuadrotorEnv(TorchRlFace):
         self._world = {key: world[key].clone() for key in self.stages.persistent}
         if self.graphed:
             self.before = {key: value.clone() for key, value in self._world.items()}
-
-    def _restart_rows(
-        self,
-        world: World,
-        observations: tuple[Tensor, Tensor],
-        rows: Tensor,
-        entry: Tensor,
-        tasks: World,
-        shared: World,
-        drawn: dict[str, Tensor],
-        difficulties: dict[str, Tensor],
-    ) -> None:
-        fresh, seen = self.stages.restart(tasks, entry, shared, drawn, difficulties)
-        for key, value in fresh.items():
-            world[key].index_copy_(0, rows, value)
-        for observation, part in zip(observations, seen.split(self.stages.widths, -1), strict=True):
-            observation.index_copy_(0, rows, part)
 
     def _allocate(self) -> None:
         """An empty world of the right shapes."""

@@ -253,6 +253,24 @@ class Stages(nn.Module):
         self._measure_first(tensors, drawn)
         return self.begin(tensors, shared, drawn)
 
+    def restart_rows(
+        self,
+        world: World,
+        observations: tuple[Tensor, Tensor],
+        rows: Tensor,
+        entry: Tensor,
+        tasks: World,
+        shared: World,
+        drawn: dict[str, Tensor],
+        difficulties: dict[str, Tensor],
+    ) -> None:
+        """Begins episodes as `restart` does, in some rows of a world and of what is observed."""
+        fresh, seen = self.restart(tasks, entry, shared, drawn, difficulties)
+        for key, value in fresh.items():
+            world[key].index_copy_(0, rows, value)
+        for observation, part in zip(observations, seen.split(self.widths, -1), strict=True):
+            observation.index_copy_(0, rows, part)
+
     def begin(
         self, world: World, shared: World, drawn: Mapping[str, Tensor]
     ) -> tuple[World, Tensor]:

@@ -21,7 +21,7 @@ from resc.evaluation.compare_text import write_text
 from resc.evaluation.entrants import Entrant, read_entrants
 from resc.evaluation.paired import Shared, contrast, scenes_in, share
 from resc.run_folder import RUNS, new_folder
-from resc.starting.launch import answering
+from resc.starting.answers import answering
 
 REPORT = "report.md"
 

@@ -28,8 +28,9 @@ from resc.policies.stored import load_policy, policy_folder
 from resc.process import prepare_process
 from resc.run_folder import finish_run, provenance
 from resc.settings import check_settings, listed
+from resc.starting.answers import answering
 from resc.starting.composed import compose_scenes, composed_with, files_of, given
-from resc.starting.launch import SHOWING, answering, launch_here
+from resc.starting.launch import SHOWING, launch_here
 
 GROUP, NOMINAL = "condition", "nominal"
 OWN = ("pilot", "replay", "conditions")

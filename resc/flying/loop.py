@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from resc import garbage
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.envs.stages import StepOutput, World
 
@@ -30,4 +31,5 @@ def flown(env: QuadrotorEnv, actions: Iterable[Tensor]) -> Iterator[Step]:
     """
     for action in actions:
         out = env.advance(action)
+        garbage.collect()  # what starts a command is over
         yield Step(env.before, action, out)

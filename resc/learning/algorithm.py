@@ -31,6 +31,7 @@ class LearningContext:
         seed: Of weights, exploration and the order of samples.
         device: Where tensors live.
         compile: Whether to compile what is called often.
+        facts: What its parts depend on, so that programs can be kept (`resc.kept_program`).
     """
 
     model: Model
@@ -42,6 +43,7 @@ class LearningContext:
     seed: int = 0
     device: torch.device | str = "cpu"
     compile: bool = True
+    facts: str = ""
 
     @contextmanager
     def seeded(self) -> Iterator[None]:

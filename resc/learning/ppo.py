@@ -1,6 +1,6 @@
 """Proximal policy optimisation, top to bottom: explore, estimate, update.
 
-Acting and the update of a policy without memory are compiled; their arithmetic is in `ppo_losses`.
+Acting and the update of a policy without memory are compiled: `ppo_networks`, `ppo_losses`.
 """
 
 import math
@@ -15,8 +15,10 @@ from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 from resc import ranks
 from resc.errors import ConfigError, NumericalError
+from resc.kept_program import compiled
 from resc.learning.algorithm import Algorithm, LearningContext
 from resc.learning.ppo_losses import Figures, Moments, draw_action, losses
+from resc.learning.ppo_networks import PpoNetworks, taken
 from resc.math.sampling import generator_for
 from resc.policies.heads import Gaussian
 from resc.policies.networks import IS_INIT, NORMALIZED, STATE, RunningNormalization
@@ -94,13 +96,16 @@ class Ppo(Algorithm):
         seed = ranks.own_seed(context.seed)
         self.noise = generator_for(seed, "exploration", context.device)
         self.order = generator_for(seed, "minibatches", context.device)
-        self._act: Callable[..., Figures] = self._act_eagerly
-        self._gradients: Callable[..., tuple[tuple[Tensor, ...], Tensor]] = self._gradients_eagerly
-        self._losses = self._losses_of_sequences if self.remembers else self._losses_of_samples
-        if context.compile and not self.remembers:
+        self._own = PpoNetworks(self.networks, self._weights, context, self._weighting)
+        self._losses = self._losses_of_sequences if self.remembers else self._own.losses
+        self._act: Callable[..., Figures] = self._own.act
+        self._gradients: Callable[..., tuple[tuple[Tensor, ...], Tensor]] = self._own.gradients
+        if self.remembers:
+            self._gradients = self._gradients_of_sequences
+        elif context.compile:
             torch._dynamo.config.trace_autograd_ops = True  # losses and gradients in one program
-            self._act = torch.compile(self._act_eagerly, fullgraph=True, dynamic=False)
-            self._gradients = torch.compile(self._gradients_eagerly, fullgraph=True, dynamic=False)
+            self._act = compiled(self._own.act, context.facts)
+            self._gradients = compiled(self._own.gradients, context.facts)
 
     @property
     def remembers(self) -> bool:
@@ -129,7 +134,7 @@ class Ppo(Algorithm):
         if self.remembers:
             moments = self.policy[:-1](seen.clone(False))
             chosen["next", STATE] = moments["next", STATE]
-            value = self._valued(cast(Tensor, moments[NORMALIZED]), *extra)
+            value = self._own.valued(cast(Tensor, moments[NORMALIZED]), *extra)
             drawn = *draw_action(moments["loc"], moments["scale"], noise), value
         else:
             drawn = self._act(observation, noise, *extra)
@@ -217,24 +222,9 @@ class Ppo(Algorithm):
             networks["critic_normalization"] = context.model.normalizer(context.critic_width)
         return nn.ModuleDict(networks)
 
-    def _valued(self, normal: Tensor, extra: Tensor | None = None) -> Tensor:
-        """The value [*n, 1] of normalised observations and of what the critic alone sees."""
-        if extra is not None:
-            normal = torch.cat((normal, self.networks["critic_normalization"](extra)), -1)
-        return self.networks["value"](normal)
-
     def _value_of(self, seen: TensorDict) -> Tensor:
         normal = self.policy.normalization(seen[OBSERVATION])
-        return self._valued(normal, seen.get(OBSERVATION_CRITIC, None))
-
-    def _act_eagerly(
-        self, observation: Tensor, noise: Tensor, extra: Tensor | None = None
-    ) -> Figures:
-        """Action, its log probability [n] and the value [n, 1]."""
-        normal = self.policy.normalization(observation)
-        mean, std = self.policy.head(self.policy.network(normal))
-        action, log_prob = draw_action(mean, std, noise)
-        return action, log_prob, self._valued(normal, extra)
+        return self._own.valued(normal, seen.get(OBSERVATION_CRITIC, None))
 
     def _samples(self, batch: TensorDict) -> Tensor:
         """What the losses need of the batch, side by side so that one gather shuffles it.
@@ -276,34 +266,17 @@ class Ppo(Algorithm):
         self.optimizer.zero_grad(set_to_none=True)
         return told
 
-    def _gradients_eagerly(
-        self, minibatch: Tensor | TensorDict, shared: Moments | None
+    def _gradients_of_sequences(
+        self, minibatch: TensorDict, shared: Moments | None
     ) -> tuple[tuple[Tensor, ...], Tensor]:
-        """Gradients of the loss, one for each of the weights, and its figures [5].
-
-        A weight that the loss does not depend on, in a network of one's own, has one of zeros.
-        """
-        loss, *figures = self._losses(minibatch, shared)
-        gradients = torch.autograd.grad(loss, self._weights, materialize_grads=True)
-        return gradients, torch.stack(figures).detach()
-
-    def _losses_of_samples(self, samples: Tensor, shared: Moments | None = None) -> Figures:
-        """Of `_samples`."""
-        context = self.context
-        seen, actions = context.observation_width, context.action_width
-        widths = (seen + context.critic_width, actions, 1, 1, 1)
-        observation, action, before, advantage, target = samples.split(widths, -1)
-        mean, std = self.policy.head(self.policy.network(observation[:, :seen]))
-        value = self.networks["value"](observation)
-        given = (mean, std, value, action, before, advantage, target)
-        return losses(*given, shared=shared, **self._weighting)
+        return taken(self._losses_of_sequences(minibatch, shared), self._weights)
 
     def _losses_of_sequences(self, sequences: TensorDict, shared: Moments | None = None) -> Figures:
         """Of some of `_sequences`; gradients go back through all their steps."""
         with set_recurrent_mode(True):
             moments = self.policy[:-1](sequences.copy())
         extra = sequences.get(OBSERVATION_CRITIC, None)
-        value = self._valued(cast(Tensor, moments[NORMALIZED]), extra)
+        value = self._own.valued(cast(Tensor, moments[NORMALIZED]), extra)
         given = (moments["loc"], moments["scale"], value, sequences["action"])
         before = sequences["action_log_prob"].unsqueeze(-1)
         learned = before, sequences["advantage"], sequences["value_target"]

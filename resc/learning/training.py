@@ -20,7 +20,7 @@ from resc.console import progress
 from resc.envs.terms_table import write_terms
 from resc.errors import CheckpointError, LostRankError, RecordingError, RescError
 from resc.learning.checkpoint import save_checkpoint
-from resc.learning.progress import Logger, ProgressTable, draw_learning_curve
+from resc.learning.progress import Logger, ProgressTable
 from resc.learning.trainer import Trainer
 from resc.learning.training_run import TrainingRun
 from resc.recording.rollouts import (
@@ -105,6 +105,8 @@ def train_and_save(
     if ranks.is_first():
         save()
     if ranks.is_first() and table.rows:
+        from resc.learning.learning_curve import draw_learning_curve
+
         draw_learning_curve(table.rows, folder / "learning_curve.png")
     own = speeds(trainer.frames - frames, trainer.trained_s - trained_s)
     summary = {

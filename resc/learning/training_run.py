@@ -11,7 +11,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from resc import ranks
-from resc.build import build, build_terms
+from resc.build import build, build_terms, plain
 from resc.envs.quadrotor import QuadrotorEnv, layout_of
 from resc.envs.stages import Stages
 from resc.errors import ConfigError
@@ -19,6 +19,7 @@ from resc.flying.episodes import RENEWED
 from resc.flying.flights import Flights, fly_recorded, require_time_limit
 from resc.flying.held_out import tabulate_episodes, write_episodes
 from resc.flying.pilot import PolicyPilot
+from resc.kept_program import facts_of
 from resc.learning.algorithm import Algorithm, LearningContext
 from resc.learning.progress import CsvLogger, Logger
 from resc.learning.trainer import Trainer
@@ -84,7 +85,11 @@ class TrainingRun:
         seed, num_envs = ranks.own_seed(config["seed"]), self.num_envs
         setup = set_up(config, size=size, seed=seed, curricula=curricula)
         env = setup.env(
-            num_envs, compiled=config["compile"], seed=seed, closed=CLOSED_BATCHES * renewed
+            num_envs,
+            compiled=config["compile"],
+            seed=seed,
+            closed=CLOSED_BATCHES * renewed,
+            facts=self._facts(config),
         )
         algorithm = self.algorithm(env.stages)
         trainer = Trainer(env, algorithm, renew_scenes=renewed, curricula=curricula)
@@ -114,6 +119,7 @@ class TrainingRun:
             seed=config["seed"],
             device=config["device"],
             compile=config["compile"],
+            facts=self._facts(config),
         )
         node = config["algorithm"]
         algorithm = build(node, "algorithm", allowed=allowed, kind=Algorithm, context=context)
@@ -136,6 +142,12 @@ class TrainingRun:
             overrides=self.overrides,
             allowed=config["allowed_targets"],
         )
+
+    def _facts(self, rules: Mapping[Any, Any]) -> str:
+        """What programs of an environment or an algorithm are made of."""
+        parts = plain(OmegaConf.create({**rules}))
+        allowed, device = self.config["allowed_targets"], self.config["device"]
+        return facts_of(parts, allowed=allowed, device=device)
 
     def recorder(self, trainer: Trainer, folder: Path) -> RolloutRecorder | None:
         """The recorder of the training in a folder; None where recorder=none."""
@@ -232,7 +244,10 @@ class TrainingRun:
         """The environment of the held-out episodes, one a row."""
         rules = self._held_out_run
         setup = set_up(rules, size=episodes, seed=rules["seed"])
-        return setup.env(episodes, compiled=compiled, seed=rules["seed"], in_order=True)
+        facts = self._facts(rules)
+        return setup.env(
+            episodes, compiled=compiled, seed=rules["seed"], in_order=True, facts=facts
+        )
 
 
 def _whole(recorder: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from resc.learning.progress import own_scale
+from resc.learning.learning_curve import own_scale
 from resc.pages.page import Html, Page
 
 POINTS = 600

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from resc.command_line import differing, split_override
 from resc.pages.common import about, add_files, add_pictures, notes
 from resc.pages.page import Html, Page, grid, link, paragraph, table
 from resc.pages.sweep_charts import curves, density, intervals
@@ -11,7 +12,7 @@ from resc.studies.ablation import REPORT
 from resc.studies.ablation_analysis import analyse
 from resc.studies.ablation_figures import FIGURES
 from resc.studies.ablation_text import comparison, explained
-from resc.studies.study import SEED, Run, Sweep, differing, read_sweep, short_keys, split_override
+from resc.studies.study import SEED, Run, Sweep, read_sweep, short_keys
 
 FILES = {
     "report/report.md": "the report",

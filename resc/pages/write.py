@@ -3,10 +3,6 @@
 from pathlib import Path
 
 from resc.errors import ConfigError
-from resc.evaluation.by_pilot import FLIGHTS_TABLE
-from resc.pages.evaluation import evaluation_page
-from resc.pages.sweep import sweep_page
-from resc.pages.training import training_page
 from resc.run_folder import PAGE, PROGRESS, replacing
 from resc.sweep_folder import is_sweep
 
@@ -17,6 +13,12 @@ def write_page(folder: Path) -> Path:
     Raises:
         ConfigError: The folder is none of the three, or a file in it is damaged.
     """
+    # Here, so that a run does not import what only its page needs.
+    from resc.evaluation.by_pilot import FLIGHTS_TABLE
+    from resc.pages.evaluation import evaluation_page
+    from resc.pages.sweep import sweep_page
+    from resc.pages.training import training_page
+
     folder = folder.resolve()
     if is_sweep(folder):
         page = sweep_page(folder)

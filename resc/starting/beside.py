@@ -18,7 +18,9 @@ from omegaconf.errors import OmegaConfBaseException
 from resc import schema
 from resc.errors import ConfigError
 from resc.places import CONF
-from resc.starting.launch import quoted_paths, refuse_doubles, refused, require_names
+from resc.starting.answers import refused
+from resc.starting.arguments import quoted_paths, require_names
+from resc.starting.composed import refuse_doubles
 
 OF_AN_APPLICATION = (GlobalHydra, HydraConfig, VersionBase, ConfigStore)
 """What Hydra keeps once in a process; plugins, which it also keeps, are everybody's."""

@@ -17,6 +17,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from resc.errors import ConfigError, nearest
+from resc.groups import names
+
+LISTS = names(lambda group: group.several)
+"""Groups of which a configuration takes several files."""
 
 
 def given() -> list[str]:
@@ -116,3 +120,33 @@ def compose_scenes(names: Sequence[str], numbers: Mapping[str, Any]) -> dict[str
         both = OmegaConf.to_container(OmegaConf.merge(own, numbers), resolve=True)
         scenes[name] = cast(dict[str, Any], both)
     return scenes
+
+
+def refuse_doubles() -> None:
+    """Refuses a composed configuration in which a term is defined twice.
+
+    Hydra would merge the two without a word: the numbers of the later one would count.
+
+    Raises:
+        ConfigError: The term and the files that define it.
+    """
+    defined: dict[str, File] = {}
+    for file in files_of_lists(LISTS):
+        for name, node in file.content.items():
+            if not isinstance(node, DictConfig) or "_target_" not in node:
+                continue
+            term = f"{file.group}.{name}"
+            if term in defined and not _for_both(defined[term], file):
+                both = dict.fromkeys((defined[term].path, file.path))
+                source = " and ".join(both) if len(both) > 1 else f"{file.path}, listed twice"
+                raise ConfigError(f"{term} is defined by {source}; keep one, or rename the other.")
+            defined[term] = file
+
+
+def _for_both(one: File, other: File) -> bool:
+    """Whether a list that was given is that of the run and that of an estimator's sensors.
+
+    Hydra puts it in the place of both.
+    """
+    brought = {file.listed_by.startswith("estimator/") for file in (one, other)}
+    return one.path == other.path and brought == {True, False}

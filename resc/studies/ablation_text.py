@@ -5,11 +5,12 @@ import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from resc.command_line import differing
 from resc.flying.held_out import COLUMNS
 from resc.math.bootstrap import DRAWS, Estimate
 from resc.studies.ablation_analysis import LEAST_ARRIVALS, Analysis, Result
 from resc.studies.ablation_figures import FIGURES
-from resc.studies.study import Run, Sweep, differing
+from resc.studies.study import Run, Sweep
 
 NAME, VARIANTS, RUNS = "report.md", "variants.csv", "runs.csv"
 ESTIMATES = ("success", "iqm", "improvement", "time_s", "energy_m2ps5")

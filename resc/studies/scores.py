@@ -27,8 +27,9 @@ from resc.policies.stored import load_policy
 from resc.process import prepare_process
 from resc.run_folder import LATEST, latest, summary_of
 from resc.settings import check_settings
+from resc.starting.answers import answering
 from resc.starting.composed import compose_scenes, given, suites
-from resc.starting.launch import SHOWING, answering, launch_here
+from resc.starting.launch import SHOWING, launch_here
 from resc.studies.score_report import Score, read_score, write_scores
 from resc.studies.study import Sweep, read_sweep
 

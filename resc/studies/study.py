@@ -12,6 +12,7 @@ from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from resc.build import load_config
+from resc.command_line import differing, split_override
 from resc.errors import ConfigError
 from resc.flying.held_out import Episodes, read_episodes
 from resc.groups import OWN_ENV, names
@@ -117,12 +118,6 @@ def read_sweep(folder: Path) -> Sweep:
     return sweep
 
 
-def differing(runs: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
-    """Of each run, the overrides that not all runs share."""
-    shared = set[str]().union(*runs).intersection(*runs)
-    return [tuple(text for text in run if text not in shared) for run in runs]
-
-
 def variant_names(runs: Sequence[Sequence[str]]) -> list[str]:
     """A name for what each run is beside its seed, from the overrides that differ.
 
@@ -164,12 +159,6 @@ def short_keys(keys: Iterable[str]) -> dict[str, str]:
             return short
         for key in longer:
             length[key] += 1
-
-
-def split_override(text: str) -> tuple[str, str]:
-    """Key and value of an override."""
-    key, _, value = text.lstrip("+").partition("=")
-    return key, value
 
 
 def _list_name(value: str, first: str) -> str:

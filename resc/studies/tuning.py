@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from resc.errors import ConfigError
-from resc.starting.launch import answering
+from resc.starting.answers import answering
 from resc.studies.tuning_picture import draw_pictures
 from resc.studies.tuning_study import read_tuning
 from resc.studies.tuning_text import write_text

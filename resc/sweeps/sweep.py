@@ -10,12 +10,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 
+from resc.command_line import differing
 from resc.errors import ConfigError, SweepError, UnfinishedError
 from resc.pages.write import leave_page
 from resc.run_folder import FAILURE, link_latest
 from resc.starting.origin import claim
-from resc.studies.ablation import write_report
-from resc.studies.study import differing
 from resc.sweep_folder import go_on
 from resc.sweeps.jobs import Job, Outcome, Runner, Status
 from resc.sweeps.launchers import Backend
@@ -77,6 +76,8 @@ def require_success(outcomes: Sequence[Outcome], folder: Path) -> None:
 
 def report(folder: Path) -> None:
     """Writes the report of what is finished, and says where it is or why there is none."""
+    from resc.studies.ablation import write_report  # Hydra imports this file for every command
+
     try:
         print(f"Report: {write_report(folder)}", flush=True)
     except (ConfigError, OSError) as error:

@@ -26,7 +26,7 @@ from resc.math.rotation import quaternion_from_euler
 from resc.places import CONF, HOME, INSTALLED
 from resc.scenes.layout import rasterize
 from resc.sights import Shape
-from resc.starting.launch import answering
+from resc.starting.answers import answering
 from resc.term import Context, Observation
 from resc.viewing.colours import (
     BACKGROUND,

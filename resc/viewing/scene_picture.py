@@ -22,7 +22,7 @@ from resc.places import CONF, HOME, INSTALLED
 from resc.planning.route import RoutePlanner
 from resc.scenes.layout import Layout, sampled
 from resc.setup import scene_of
-from resc.starting.launch import answering
+from resc.starting.answers import answering
 from resc.viewing.colours import BACKGROUND, DASHES, PLAN, TEXT
 from resc.viewing.map_picture import draw_obstacles
 

@@ -72,6 +72,7 @@ def plain(made, tmp_path_factory):
     return policy, folder
 
 
+@pytest.mark.slow
 def test_a_policy_that_remembers_is_the_same_in_every_file(remembering):
     _, folder, found = remembering
     assert set(found) == {ONNX, TORCH, HEADER}
@@ -101,6 +102,7 @@ def test_shipped_policies_are_exported(stored_in, tmp_path):
     assert max(found.values()) <= 1e-5
 
 
+@pytest.mark.slow
 def test_onnx_takes_any_batch_in_float32_and_says_what_its_numbers_are(remembering):
     policy, folder, _ = remembering
     session = onnx_session(folder / ONNX)
@@ -121,6 +123,7 @@ def test_onnx_takes_any_batch_in_float32_and_says_what_its_numbers_are(rememberi
         assert json.loads(facts[name]) == card[name]
 
 
+@pytest.mark.slow
 def test_onnx_is_of_the_newest_opset_that_torch_writes(remembering):
     onnx = pytest.importorskip("onnx")
     model = onnx.load(remembering[1] / ONNX)
@@ -128,6 +131,7 @@ def test_onnx_is_of_the_newest_opset_that_torch_writes(remembering):
     assert "double" not in str(onnx.printer.to_text(model))
 
 
+@pytest.mark.slow
 def test_torch_export_holds_the_card_and_takes_any_batch(plain):
     policy, folder = plain
     facts = {CARD: ""}
@@ -162,7 +166,8 @@ def program_of(folder):
     return program
 
 
-@pytest.mark.parametrize("kind", [pytest.param("plain", marks=pytest.mark.slow), "remembering"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["plain", "remembering"])
 def test_the_example_in_cpp_flies_as_the_policy_does(kind, request, tmp_path):
     policy, folder, *_ = request.getfixturevalue(kind)
     shutil.copy(folder / HEADER, tmp_path)
@@ -184,6 +189,7 @@ def test_the_example_in_cpp_flies_as_the_policy_does(kind, request, tmp_path):
     assert_close(command[..., :3], action[..., :3] * limits)
 
 
+@pytest.mark.slow
 def test_the_header_is_c99_without_a_warning(remembering, tmp_path):
     (tmp_path / "act.c").write_text(SOURCE)
     command = [CXX, "-x", "c", "-std=c99", *STRICT, f"-I{remembering[1]}", "-fsyntax-only"]

@@ -47,7 +47,7 @@ def difficulty():
     torch._dynamo.config.error_on_recompile = True
     env = make_env(compiled=False)
     env._restart_function = torch.compile(
-        env._restart_rows, fullgraph=True, dynamic=False, backend="eager"
+        env.stages.restart_rows, fullgraph=True, dynamic=False, backend="eager"
     )
     for value in (1.0, 0.5, 0.0):
         env.set_difficulty("initial_state", value)

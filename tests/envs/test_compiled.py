@@ -21,6 +21,7 @@ def run(*what):
     assert done.returncode == 0, done.stderr[-4000:]
 
 
+@pytest.mark.slow  # 15 s of tracing
 def test_the_step_is_one_graph_and_another_difficulty_needs_no_other():
     run("graph", "difficulty")
 

@@ -10,7 +10,7 @@ from resc.build import build_terms
 from resc.errors import ConfigError
 from resc.flying.episodes import EpisodeStatistics
 from resc.learning.checkpoint import load_checkpoint, save_checkpoint
-from resc.learning.progress import draw_learning_curve
+from resc.learning.learning_curve import draw_learning_curve
 from resc.learning.training_run import TrainingRun
 from resc.term import Curriculum
 

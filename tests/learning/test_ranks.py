@@ -21,7 +21,7 @@ from resc.learning.training_run import TrainingRun
 from resc.policies.networks import RunningNormalization
 from resc.recording.reader import RolloutLog
 from resc.run_folder import CHECKPOINT, summary_of
-from resc.starting.launch import answering
+from resc.starting.answers import answering
 
 FLOWN = (
     *SMALL,

@@ -14,7 +14,8 @@ from resc.envs.terms_table import describe
 from resc.errors import ConfigError, RecordingError
 from resc.flying.replay import fly_again
 from resc.learning.checkpoint import load_checkpoint
-from resc.learning.progress import CsvLogger, ProgressTable, draw_learning_curve
+from resc.learning.learning_curve import draw_learning_curve
+from resc.learning.progress import CsvLogger, ProgressTable
 from resc.learning.training import train
 from resc.learning.training_run import TrainingRun
 from resc.recording.reader import RolloutLog

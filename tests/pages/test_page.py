@@ -13,7 +13,7 @@ from made_up_sweep import make_run
 from PIL import Image
 
 from resc.errors import ConfigError
-from resc.learning.progress import own_scale
+from resc.learning.learning_curve import own_scale
 from resc.pages.curves import POINTS, thinned
 from resc.pages.evaluation import from_report
 from resc.pages.page import PICTURES_B, Page, escaped, table

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from made_up_sweep import make_run
 
+from resc.command_line import differing
 from resc.errors import ConfigError
 from resc.studies.ablation import main, write_report
 from resc.studies.ablation_analysis import analyse
-from resc.studies.study import differing, read_sweep, short_keys, variant_names
+from resc.studies.study import read_sweep, short_keys, variant_names
 
 GOOD, POOR = [1, 1, 1, 1], [1, 1, 0, 0]
 

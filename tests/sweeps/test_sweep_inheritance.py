@@ -13,7 +13,7 @@ import resc.schema
 from hydra_plugins.resc_sweeps import refuse_what_runs_cannot_follow, require_different
 from resc.build import build
 from resc.errors import ConfigError
-from resc.starting.launch import resumed_sweep
+from resc.starting.arguments import resumed_sweep
 from resc.sweeps.jobs import Job
 
 ROOT = Path(__file__).parents[2]

@@ -16,7 +16,7 @@ import pytest
 from resc.build import build
 from resc.command_line import shell
 from resc.errors import ConfigError, SweepError, UnfinishedError
-from resc.starting.launch import resumed_sweep
+from resc.starting.arguments import resumed_sweep
 from resc.starting.origin import claim, require_own_folder
 from resc.sweeps.jobs import Job, Runner
 from resc.sweeps.launchers import Local, Ray, Slurm
