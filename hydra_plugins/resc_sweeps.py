@@ -89,7 +89,7 @@ class SweepLauncher(Launcher):
                 "The overrides name no run at all; give a range that holds something."
             )
         require_different(jobs)
-        print(f"{len(jobs)} runs go to {self.folder}", flush=True)
+        print(f"{len(jobs)} runs go to {self.folder}, each with its log.txt", flush=True)
         outcomes = self.run(jobs)
         report(self.folder)
         require_success(outcomes, self.folder)

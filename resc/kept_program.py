@@ -46,7 +46,7 @@ def compiled(function: Function, facts: str = "") -> Function:
             such as `facts_of`; empty where nobody knows, and then the program is not kept.
     """
     fresh = torch.compile(function, fullgraph=True, dynamic=False)
-    return _Kept(function, fresh, facts) if facts and _is_as_imported() else fresh
+    return _Kept(function, fresh, facts if _is_as_imported() else "")
 
 
 def facts_of(parts: Mapping[str, Any], *, allowed: Sequence[str], device: object) -> str:
@@ -85,11 +85,15 @@ class _Kept:
 
     def _kept(self, given: Sequence[Any]) -> Function | None:
         """The program in its file, which is made if it is not there; None where torch cannot."""
+        if not self.facts:
+            _say_compiling()
+            return None
         name = "\n".join((_surroundings(), self.facts, self.function.__qualname__, _told(given)))
         path = _folder() / f"{hashlib.sha256(name.encode()).hexdigest()}.program"
         owner = getattr(self.function, "__self__", None)
         try:
             if not path.exists():
+                _say_compiling()
                 made = cast(Any, self.fresh).aot_compile((tuple(given), {}))
                 part = path.with_suffix(f".{os.getpid()}")
                 made.save_compiled_function(str(part))
@@ -99,6 +103,12 @@ class _Kept:
         except Exception:  # torch says of this part that it may change; what is wrong, fresh tells
             return None
         return program if owner is None else functools.partial(program, owner)
+
+
+@functools.cache
+def _say_compiling() -> None:
+    """Prints a line, once in a process."""
+    print("Compiling step and update: up to a minute.", flush=True)
 
 
 def _told(value: Any) -> str:  # noqa: ANN401 - any argument

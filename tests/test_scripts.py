@@ -94,6 +94,15 @@ def test_two_files_that_define_one_term_are_named(call_script, capsys, tmp_path)
     assert "error: reward.time is defined by reward/time and reward/mine; keep one" in told
 
 
+def test_a_file_that_is_no_yaml_is_named_with_its_line(call_script, capsys, tmp_path):
+    (tmp_path / "reward").mkdir()
+    broken = tmp_path / "reward" / "mine.yaml"
+    broken.write_text("mine:\n  _target_: resc.terms.rewards.time.Time\n weight: 1.0\n")
+    with pytest.raises(SystemExit, match="1"):
+        call_script(train, f"hydra.searchpath=[file://{tmp_path}]", "reward=[time,mine]")
+    assert capsys.readouterr().err.startswith(f"error: {broken}, line 3: ")
+
+
 def test_a_list_of_sensors_counts_for_the_estimator_too(call_script, capsys):
     listed = "sensor=[euler,clearance,limit_violations,surface_clearance,mocap]"
     with pytest.raises(SystemExit, match="1"):

@@ -114,7 +114,7 @@ def against(entrants: Sequence[Entrant], contrasts: Sequence[Contrast]) -> str:
 
 
 def signed(difference: Estimate, digits: int) -> str:
-    """A difference with its sign and interval, in bold where the interval has no zero."""
+    """A difference with its sign and interval, in bold where the printed interval has no zero."""
     if math.isnan(difference.value):
         return "-"
     value = f"{difference.value:+z.{digits}f}"
@@ -122,7 +122,8 @@ def signed(difference: Estimate, digits: int) -> str:
     if math.isnan(low):
         return value
     text = f"{value} ({low:+z.{digits}f} to {high:+z.{digits}f})"
-    return f"**{text}**" if low > 0 or high < 0 else text
+    clear = round(low, digits) > 0 or round(high, digits) < 0
+    return f"**{text}**" if clear else text
 
 
 def _facts(entrant: Entrant) -> list[str]:

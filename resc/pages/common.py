@@ -53,6 +53,7 @@ def about(*parts: str | None) -> str:
 
 
 def _size(path: Path) -> str:
-    """How large a file, or all files of a folder, is [MB]."""
+    """How large a file, or all files of a folder, is."""
     files = [path] if path.is_file() else [part for part in path.rglob("*") if part.is_file()]
-    return f"{sum(part.stat().st_size for part in files) / 1e6:,.2f} MB"
+    size = sum(part.stat().st_size for part in files)
+    return f"{size / 1e6:,.1f} MB" if size >= 1e5 else f"{size / 1e3:,.1f} kB"

@@ -55,12 +55,13 @@ def ranked(flights: pl.DataFrame) -> list[int]:
     seconds = _numbers(flights, "time_s", "counted_steps", "steps")
     bounds = _numbers(flights, "bound")
     own = [None if np.isnan(bound) else float(bound) for bound in bounds]
-    clearance = _numbers(flights, "least_clearance")
+    clearance = _numbers(flights, "least_clearance")  # of training's held-out flights, not kept
+    touched = _numbers(flights, "collided") > 0
     lengths = _numbers(flights, "planned_length")
     order = worst_maps(
         np.arange(count),
         failed=~flights["success"].to_numpy(),
-        clearance_m=np.where(np.isnan(clearance), np.inf, clearance),
+        clearance_m=np.where(np.isnan(clearance), np.where(touched, 0.0, np.inf), clearance),
         slowness=slowness(seconds, own, np.where(np.isnan(lengths), 1.0, lengths)),
     )
     return [int(flight[0]) for flight in order]

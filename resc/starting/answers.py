@@ -12,6 +12,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
+from yaml import MarkedYAMLError
 
 from resc import ranks
 from resc.errors import ConfigError, ExitCode, RescError, UnfinishedError, nearest
@@ -30,8 +31,11 @@ def answering() -> Iterator[None]:
     except BrokenPipeError:  # the reader of the output, such as head, has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
-    except (RescError, OSError, OmegaConfBaseException) as error:
+    except (RescError, OSError, OmegaConfBaseException, MarkedYAMLError) as error:
         told = str(error)
+        if isinstance(error, MarkedYAMLError) and error.problem_mark:
+            mark = error.problem_mark
+            told = f"{mark.name}, line {mark.line + 1}: {error.problem}; mend this file."
         if isinstance(error, OmegaConfBaseException):
             told = f"{told.partition(chr(10))[0]} ({error.full_key})"
         if isinstance(error, OSError) and error.filename is not None:

@@ -214,7 +214,8 @@ class Runner:
             lines = [line.rpartition("\r")[2].rstrip() for line in log if line.strip()]
         last = lines[-1] if lines else "nothing was said"
         if code in STOPS or self.stopping:
-            return Outcome(job, "stopped", last)
+            goes_on = (job.folder / CHECKPOINT).exists()
+            return Outcome(job, "stopped", last if goes_on else "no checkpoint yet, begins again")
         reason = next((line for line in reversed(lines) if line.startswith("error: ")), last)
         reason = reason.removeprefix("error: ")
         if code < 0:

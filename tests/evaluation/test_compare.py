@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 from resc.errors import ConfigError
 from resc.evaluation.compare import main, write_comparison
+from resc.evaluation.compare_text import signed
 from resc.evaluation.entrants import read_entrants
 from resc.evaluation.paired import (
     contrast,
@@ -142,6 +143,11 @@ def test_difference_of_rates_is_newcombes():
     found = rate_difference(other, first, np.arange(50))
     assert found.value == pytest.approx(0.2)
     assert (found.low, found.high) == pytest.approx((0.0569, 0.3404), abs=2e-3)
+
+
+def test_a_difference_that_is_printed_as_zero_is_not_in_bold():
+    assert signed(Estimate(0.3, 0.1, 0.4), 0) == "+0 (+0 to +0)"
+    assert signed(Estimate(1.2, 0.6, 1.8), 0) == "**+1 (+1 to +2)**"
 
 
 def test_mcnemar_counts_flights_alone_and_maps_as_one():

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from urllib.parse import unquote
 
 import numpy as np
+import polars as pl
 import pytest
 from made_up_sweep import make_run
 from PIL import Image
@@ -180,6 +181,13 @@ def test_run_of_a_sweep_is_linked_by_its_page_where_it_has_one(sweep):
     write_page(sweep / "1")
     targets = require_whole(write_page(sweep)).all("a", "href")
     assert {"0/", "1/report.html"} <= set(targets)
+
+
+def test_held_out_flights_that_touch_something_come_first():
+    flights = pl.DataFrame(
+        {"success": [False, True, False], "collided": [0, 0, 1], "time_s": [9.0, 3.0, 1.0]}
+    )
+    assert ranked(flights) == [2, 0, 1]
 
 
 def test_page_of_an_evaluation_shows_its_table_and_the_worst_flights_first(tmp_path):
