@@ -22,6 +22,7 @@ from resc.evaluation.paired import (
     scenes_in,
     share,
 )
+from resc.math.bootstrap import Estimate
 
 HEADER = (
     "scene,flight,map,outcome,success,collided,steps,counted_steps,planned_length,"
