@@ -37,9 +37,11 @@ baselines: $(STAMP) ## Fly the policy and the planners it is compared with, and 
 test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others.
 	$(PY) -m pytest -n auto --maxprocesses 4 --dist worksteal $(ARGS)
 
-LONG := tests/envs/test_compiled.py::test_the_step_is_one_graph_and_another_difficulty_needs_no_other tests/test_wheel.py tests/deployment/test_export.py tests/test_examples.py tests/pages/test_browser.py tests/viewing/test_rerun_browser.py
+LONG := tests/envs/test_compiled.py::test_the_step_is_one_graph_and_another_difficulty_needs_no_other \
+	tests/test_mutations.py::test_dozens_of_wrong_settings_and_files_end_in_a_sentence_or_fly tests/test_waits.py \
+	tests/test_wheel.py tests/deployment/test_export.py tests/test_examples.py tests/pages/test_browser.py tests/viewing/test_rerun_browser.py
 
-test-long: $(STAMP) ## Run the slow tests that CI runs, too: wheel, files of a policy, examples, notebook, pages in a browser, the traced step.
+test-long: $(STAMP) ## Run the slow tests that CI runs, too: wheel, files of a policy, examples, notebook, pages in a browser, the traced step, wrong settings.
 	$(PY) -m pytest -n auto --maxprocesses 2 --dist worksteal -m slow $(LONG) $(ARGS)
 
 gpu: $(STAMP) ## Check on a GPU what can only be checked there, and measure it: under five minutes.

@@ -45,9 +45,10 @@ def mutate(one_in, timeout_s):
     return int(counts.split()[0])
 
 
-@pytest.mark.timeout(400)  # some 8 s of a quiet processor
+@pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_dozens_of_wrong_settings_and_files_end_in_a_sentence_or_fly():
-    assert mutate(1500, 380) > 9
+    assert mutate(900, 380) > 15
 
 
 @pytest.mark.slow

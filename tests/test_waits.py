@@ -46,6 +46,7 @@ def test_every_wait_for_another_program_has_an_end():
     assert [place for path in FILES for place in waits_for_ever(path)] == []
 
 
+@pytest.mark.slow
 def test_a_hanging_test_fails_and_leaves_no_child(tmp_path):
     (tmp_path / "test_hanging.py").write_text(HANGING)
     command = [sys.executable, "-m", "pytest", "-c", ROOT / "pyproject.toml", "-n", "1"]
