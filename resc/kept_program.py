@@ -89,15 +89,12 @@ class _Kept:
             _say_compiling()
             return None
         name = "\n".join((_surroundings(), self.facts, self.function.__qualname__, _told(given)))
-        path = _folder() / f"{hashlib.sha256(name.encode()).hexdigest()}.program"
         owner = getattr(self.function, "__self__", None)
         try:
+            path = _folder() / f"{hashlib.sha256(name.encode()).hexdigest()}.program"
             if not path.exists():
                 _say_compiling()
-                made = cast(Any, self.fresh).aot_compile((tuple(given), {}))
-                part = path.with_suffix(f".{os.getpid()}")
-                made.save_compiled_function(str(part))
-                part.replace(path)
+                _write(cast(Any, self.fresh).aot_compile((tuple(given), {})), path)
             with path.open("rb") as file:
                 program = torch.compiler.load_compiled_function(file)
         except Exception:  # torch says of this part that it may change; what is wrong, fresh tells
@@ -105,10 +102,20 @@ class _Kept:
         return program if owner is None else functools.partial(program, owner)
 
 
+def _write(made: Any, path: Path) -> None:  # noqa: ANN401 - torch's
+    """Writes a program; other processes, such as runs of a sweep, may be writing the same one."""
+    part = path.with_suffix(f".{os.getpid()}")
+    try:
+        made.save_compiled_function(str(part))
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 @functools.cache
 def _say_compiling() -> None:
     """Prints a line, once in a process."""
-    print("Compiling step and update: up to a minute.", flush=True)
+    print("Compiling step and networks: up to a minute.", flush=True)
 
 
 def _told(value: Any) -> str:  # noqa: ANN401 - any argument

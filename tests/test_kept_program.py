@@ -95,3 +95,10 @@ def test_facts_are_all_parts_of_a_configuration_and_none_with_code_of_others():
     assert facts(1.0) != facts(2.0)
     assert not facts(1.0, allowed=["mine."])
     assert not facts(1.0, device="cuda")
+
+
+def test_where_nothing_can_be_written_it_is_compiled_as_ever(tmp_path, monkeypatch):
+    (tmp_path / "taken").touch()
+    monkeypatch.setattr(kept_program, "_folder", lambda: (tmp_path / "taken" / "resc").mkdir())
+    monkeypatch.setattr(kept_program, "_is_as_imported", lambda: True)
+    assert compiled(Line(3.0).at, "line")(X).tolist() == [4, 7]
