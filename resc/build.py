@@ -4,6 +4,7 @@ A stored configuration is data: only targets under an allowed prefix are built, 
 no foreign code.
 """
 
+import functools
 import importlib
 import inspect
 from collections.abc import Callable, Iterable, Mapping
@@ -193,6 +194,7 @@ def without_difficulty(node: Any, path: str) -> tuple[Any, str | None]:
     return {key: value for key, value in node.items() if key != "difficulty"}, eased
 
 
+@functools.cache
 def _arguments_of(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """The named arguments of a function, or of a class's `__init__`.
 

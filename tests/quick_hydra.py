@@ -10,6 +10,7 @@ from hydra._internal import defaults_list
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
 from hydra._internal.sources_registry import SourcesRegistry
+from hydra.core.config_store import ConfigStore
 from hydra.core.default_element import InputDefault
 from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult, ConfigSource
@@ -26,6 +27,8 @@ def hasten() -> None:
         defaults_list._create_interpolation_map
     )
     ConfigRepository.__deepcopy__ = lambda self, memo: copy.copy(self)  # its sources only read
+    ConfigLoaderImpl._embed_result_config = staticmethod(embedded)
+    ConfigStore.load = remembered(ConfigStore.load)
     DictConfig.merge_with = merged_as_one(DictConfig.merge_with)
     ConfigLoaderImpl._compose_config_from_defaults_list = tidied(
         ConfigLoaderImpl._compose_config_from_defaults_list
@@ -45,6 +48,33 @@ def remember_files(source: type[ConfigSource]) -> None:
         return pickle.loads(known[key])  # a fifth of what copying takes
 
     source.load_config = load
+
+
+def remembered(load: Callable[..., Any]) -> Callable[..., Any]:
+    """Copies what is declared as `remember_files` does."""
+    known: dict[tuple[str, int], tuple[Any, bytes]] = {}
+
+    def loaded(self: ConfigStore, config_path: str) -> Any:
+        node = self._load(config_path)
+        key = (config_path, id(node))
+        if key not in known:
+            known[key] = node, pickle.dumps(load(self, config_path))  # held, so its id is its own
+        return pickle.loads(known[key][1])
+
+    return loaded
+
+
+def embedded(file: ConfigResult, package: str | None) -> ConfigResult:
+    """What a file says under the name where it belongs, not copied to be put there."""
+    package = file.header["package"] if package is None else package
+    if not package:
+        return file
+    for name in reversed(package.split(".")):
+        outer = OmegaConf.create()
+        outer._content[name] = file.config  # `tidied` tells it where it is
+        file = copy.copy(file)
+        file.config = outer
+    return file
 
 
 def choices_to_insert(gather: Callable[..., DictConfig]) -> Callable[..., DictConfig]:

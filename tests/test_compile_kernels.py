@@ -4,6 +4,7 @@ import importlib
 import pkgutil
 from pathlib import Path
 
+import pytest
 from numba.core.caching import NullCache
 from numba.core.registry import CPUDispatcher
 
@@ -26,6 +27,7 @@ def kernels():
                     yield value
 
 
+@pytest.mark.slow
 def test_every_kernel_is_kept():
     compile_kernels()
     assert {kernel.__qualname__ for kernel in kernels() if not is_kept(kernel)} <= SELDOM

@@ -3,6 +3,8 @@
 import ast
 from pathlib import Path
 
+from source_trees import parsed
+
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
     {"cuda_graph", "errors", "garbage", "kept_program", "keys", "moved", "places"},
@@ -41,7 +43,7 @@ FILES = sorted(
 
 def imported(path):
     """Full names of the modules that a file imports."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

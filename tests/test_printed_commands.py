@@ -12,6 +12,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
+from source_trees import parsed
 
 from resc.command_line import command, override
 from resc.errors import ConfigError, SweepError
@@ -153,7 +154,7 @@ def test_repairs_of_damaged_files_are_commands_that_work(folder):
 def test_no_command_is_put_together_but_by_the_function_that_quotes():
     scripts = [ROOT / "train.py", ROOT / "evaluate.py"]
     for path in [*scripts, *ROOT.glob("resc/**/*.py"), *ROOT.glob("hydra_plugins/*.py")]:
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(parsed(path)):
             parts = node.values if isinstance(node, ast.JoinedStr) else []
             texts = [part.value for part in parts if isinstance(part, ast.Constant)]
             assert not any(map(COMMAND.search, texts)), f"{path}:{node.lineno}"

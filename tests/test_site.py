@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from source_trees import parsed
 
 pytest.importorskip("griffe", reason="the extra 'docs' is not installed")
 
@@ -45,7 +46,7 @@ def test_every_public_class_and_function_has_an_entry(pages):
     with_something = {f"::: {api.module(path)}" for path in found if api.public(path)}
     assert shown == with_something
     for path in found:  # what has no docstring is not shown
-        for node in ast.parse(path.read_text()).body:
+        for node in parsed(path).body:
             if isinstance(node, ast.ClassDef) and node.name[0] != "_":
                 assert ast.get_docstring(node), f"{path}: {node.name}"
 

@@ -5,6 +5,8 @@ import statistics
 from collections import Counter
 from pathlib import Path
 
+from source_trees import parsed
+
 ROOT = Path(__file__).parents[1]
 FILES = sorted((ROOT / "resc").rglob("*.py"))
 LINES = {path: len(path.read_text().splitlines()) for path in FILES}
@@ -32,7 +34,7 @@ def test_a_function_takes_what_it_needs_and_seldom_the_whole_configuration():
     found = [
         f"{path.relative_to(ROOT)}: {node.name}"
         for path in FILES
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in ast.walk(parsed(path))
         if isinstance(node, ast.FunctionDef) and takes_all(node)
     ]
     assert len(found) <= MOST_WITH_ALL, "\n".join(found)

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from source_trees import parsed
 
 from benchmarks.measure import Job
 
@@ -32,7 +33,7 @@ def test_that_comes_after():
 
 def waits_for_ever(path):
     """Where a file runs another program without saying how long it may take."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         runs = isinstance(node.func.value, ast.Name) and node.func.value.id == "subprocess"

@@ -145,7 +145,7 @@ class TrainingRun:
 
     def _facts(self, rules: Mapping[Any, Any]) -> str:
         """What programs of an environment or an algorithm are made of."""
-        parts = plain(OmegaConf.create({**rules}))
+        parts = {name: plain(part) for name, part in rules.items()}
         allowed, device = self.config["allowed_targets"], self.config["device"]
         return facts_of(parts, allowed=allowed, device=device)
 

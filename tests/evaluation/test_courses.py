@@ -106,6 +106,7 @@ def test_maps_without_a_route_are_drawn_again_and_counted(planner):
     assert (course.layout.route_length > 1).all()
 
 
+@pytest.mark.slow
 def test_maps_that_never_have_a_route_name_the_density_and_the_tries(planner):
     with pytest.raises(
         ConfigError,

@@ -68,6 +68,7 @@ def test_it_arrives_round_the_wall_within_its_limits(corridor, flying):
     assert float(flown.metrics["least_clearance"].min()) > 0.25
 
 
+@pytest.mark.slow
 def test_slower_is_slower(corridor, flying):
     env = flying([corridor(1)])
     slow, fast = (fly(env, Pursuit(speed_mps=speed)) for speed in (1.0, 2.0))

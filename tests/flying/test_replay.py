@@ -84,6 +84,7 @@ def recording(compose, tmp_path_factory):
     return recorded(compose(*RUN, "scene=training"), tmp_path_factory.mktemp("run"))
 
 
+@pytest.mark.slow
 def test_an_episode_among_movers_comes_out_again_bit_for_bit(compose, tmp_path):
     recording = recorded(compose(*RUN, *MOVING), tmp_path)
     log = RolloutLog(recording)
@@ -95,7 +96,14 @@ def test_an_episode_among_movers_comes_out_again_bit_for_bit(compose, tmp_path):
     assert result.steps == length[number] > 20
 
 
-@pytest.mark.parametrize("parts", [EVERYTHING, PX4, SEEN], ids=["everything", "px4", "seen"])
+@pytest.mark.parametrize(
+    "parts",
+    [
+        pytest.param(EVERYTHING, id="everything"),
+        pytest.param(PX4, id="px4", marks=pytest.mark.slow),
+        pytest.param(SEEN, id="seen", marks=pytest.mark.slow),
+    ],
+)
 def test_an_episode_of_other_parts_comes_out_again_bit_for_bit(compose, parts, tmp_path):
     few = "total_frames=512"
     recording = recorded(compose(*RUN, "scene=training", *parts, few), tmp_path)

@@ -144,6 +144,7 @@ def test_rays_of_a_fan_are_those_cast_alone(poses, surface, truncation_m):
     assert 0.05 < blocked.double().mean() < 0.95
 
 
+@pytest.mark.slow
 def test_the_kernels_for_gpus_see_what_those_for_the_cpu_see(poses, tmp_path):
     some = torch.arange(0, POSES, POSES // 8)
     esdf, (index, here, offset, radius) = poses[0], (part[some] for part in poses[1:5])
