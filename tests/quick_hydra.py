@@ -1,6 +1,7 @@
 """Lets Hydra compose the same in half of the time, since the tests compose some hundred times."""
 
 import copy
+import dataclasses
 import pickle
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -65,16 +66,16 @@ def remembered(load: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def embedded(file: ConfigResult, package: str | None) -> ConfigResult:
-    """What a file says under the name where it belongs, not copied to be put there."""
+    """What a file says under the name where it belongs; a copy, for it may belong in two places."""
     package = file.header["package"] if package is None else package
     if not package:
         return file
+    config = pickle.loads(pickle.dumps(file.config))
     for name in reversed(package.split(".")):
         outer = OmegaConf.create()
-        outer._content[name] = file.config  # `tidied` tells it where it is
-        file = copy.copy(file)
-        file.config = outer
-    return file
+        outer._content[name] = config  # `tidied` tells it where it is
+        config = outer
+    return dataclasses.replace(file, config=config)
 
 
 def choices_to_insert(gather: Callable[..., DictConfig]) -> Callable[..., DictConfig]:

@@ -79,6 +79,7 @@ def test_routes_lead_around_the_walls_of_a_scene_of_ones_own(capsys):
     assert max(float(y) for _, y, _ in points) > 4  # the wall is from 0 m to 4 m
 
 
+@pytest.mark.slow
 def test_a_planner_of_ones_own_flies(capsys):
     from examples import own_pilot
 

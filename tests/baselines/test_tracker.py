@@ -13,7 +13,7 @@ SPEED_MPS, ACCELERATION_MPS2 = 3.0, 6.0
 OPEN = {
     "boxes": [[0.0, 0.0, 0.1, 0.1]],
     "start_m": [1.0, 10.0, 1.0],
-    "goal_m": [9.0, 10.0, 1.0],
+    "goal_m": [7.0, 10.0, 1.0],
     "size_m": [20.0, 20.0],
     "jitter_m": 0.9,
 }

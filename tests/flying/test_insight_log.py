@@ -22,7 +22,7 @@ from resc.viewing.foxglove import write_scene
 
 FLIGHTS = 3
 SEEN = ("scene=planned", "sensing=depth", "replanning=in_flight")
-LIMIT = ("termination.time_limit.limit_s=4.0", "obstacle_observation=none")
+LIMIT = ("termination.time_limit.limit_s=3.0", "obstacle_observation=none")
 
 
 @pytest.fixture(scope="module")

@@ -168,7 +168,7 @@ def test_a_policy_that_remembers_needs_minibatches_of_whole_sequences(begin):
         begin("ppo", "gru", "algorithm.minibatch=8")
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", pytest.param("td3", marks=pytest.mark.slow)])
 def test_what_the_critic_alone_sees_moves_the_value_and_not_the_action(begin, algorithm, tmp_path):
     options = ("observation@observation_critic=[heights]", "model.normalization=running")
     trainer = begin(algorithm, "mlp", *options)
