@@ -30,12 +30,13 @@ class InFlight(Replanning):
     """Checks the route ahead `check_hz` times a second, and plans it again where it is blocked.
 
     The search is exact (`resc.planning.searches.exact`), from where the vehicle is to the goal, on
-    the map that it knows; what is unknown counts as free, but near the vehicle: within `seen_m`, a
-    route leads through cells that were seen, if there is such a way. So it is the shortest one that
-    is not known to be blocked, and remains that until a new obstacle lies on it: nothing is gained
-    by planning without a cause. The policy flies on by the old control points until the new ones
-    arrive, `latency_steps` after the map that they are planned on. The first route of an episode is
-    planned at once, on what the first look shows.
+    the map that it knows. What is unknown counts as free, with two exceptions, each only if there
+    is such a way: within `seen_m` of the vehicle, a route leads through cells that were seen, and
+    elsewhere it keeps `unseen_m` more from known obstacles in cells that were not. So it is the
+    shortest one that is not known to be blocked, and remains that until a new obstacle lies on it:
+    nothing is gained by planning without a cause. The policy flies on by the old control points
+    until the new ones arrive, `latency_steps` after the map that they are planned on. The first
+    route of an episode is planned at once, on what the first look shows.
 
     A route that begins against the motion of the vehicle is taken only if it is shorter by `turn_m`
     than the shortest one that does not: turning back costs time, and as the map grows the shortest
@@ -55,6 +56,8 @@ class InFlight(Replanning):
         link_m: How far an end may be moved out of the clearance.
         turn_m: How much longer a route may be that goes on than one that turns back.
         seen_m: How near the vehicle a route has to lead through cells that were seen.
+        unseen_m: How much more than the clearance a route keeps from known obstacles in cells that
+            were not seen, if there is such a way: obstacles are thicker than their seen sides.
         edge_m: How far new routes stay from the sides of the map; a nearer end is moved, as one
             inside the clearance is.
         latency_steps: Control steps from a map to the route that is planned on it.
@@ -115,6 +118,7 @@ class InFlight(Replanning):
         link_m: NotNegative = 1.0,
         turn_m: NotNegative = 4.0,
         seen_m: NotNegative = 1.0,
+        unseen_m: NotNegative = 0.0,
         edge_m: NotNegative = 0.0,
         latency_steps: Annotated[int, Within(0, 50)] = 1,
         max_expansions: Annotated[int, Within(1, 1e9)] = 100_000,
@@ -136,7 +140,8 @@ class InFlight(Replanning):
         self.latency_steps = latency_steps
         self.points = points
         limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
-        self.numbers = (ahead_m, margin_m, link_m, turn_m, seen_m, edge_m, max_expansions)
+        unseen = (seen_m, unseen_m)
+        self.numbers = (ahead_m, margin_m, link_m, turn_m, *unseen, edge_m, max_expansions)
         self.limits = limits
         self.released = rule == "released"
         # numba: once a kernel that calls it is loaded from its cache, a function that gives arrays

@@ -3,9 +3,9 @@
 `settings` are the edge of a cell [m], how far ahead of the vehicle a route is checked [m], what it
 must keep [m], how far an end inside the clearance may be moved [m], by how much a route that goes
 on may be longer than one that turns back [m], within which distance of the vehicle cells have to be
-seen [m], how far from the sides of the map new routes stay [m], the greatest number of expansions,
-the spacing of control points, and whether they follow the released rule
-(`resc.planning.control_points`).
+seen [m], how much more than the clearance is kept in cells that were not [m], how far from the
+sides of the map new routes stay [m], the greatest number of expansions, the spacing of control
+points, and whether they follow the released rule (`resc.planning.control_points`).
 """
 
 from math import floor, hypot, sqrt
@@ -26,6 +26,8 @@ SLOW_MPS = 0.5
 """A slower vehicle may turn to any side."""
 BEHIND_M, BESIDE_M = 2.5, 0.3
 """How far a vehicle that goes on keeps from the way it came, and what still lies beside it."""
+END_M = 0.5
+"""So near the goal unseen cells beside obstacles are as good as others."""
 
 
 @njit(cache=True, nogil=True)
@@ -78,9 +80,8 @@ def renew(
         counts: Written: how many of them.
         moved: Written: whether start or goal had to be moved out of the clearance.
     """
-    cell_m, look_m, margin_m, link_m, turn_m, seen_m, edge_m, expansions, limits, released = (
-        settings
-    )
+    cell_m, look_m, margin_m, link_m, turn_m, seen_m, unseen_m, edge_m = settings[:8]
+    expansions, limits, released = settings[8:]
     _, height, width = esdf.shape
     work = workspace(height * width, 8 * height * width)
     query = 0
@@ -114,6 +115,8 @@ def renew(
             continue
         chart = room.copy()
         _close_unseen(chart, seen, position[n], frame, seen_m)
+        if unseen_m > 0:
+            _close_beside(chart, known, seen, start, end, frame, least + unseen_m)
         query += 3
         if chart[start[3], start[2]] or chart[end[3], end[2]]:
             chart = room
@@ -206,6 +209,20 @@ def _close_unseen(blocked, evidence, position, frame, seen_m):
             away = hypot(x0_m + x * cell_m - position[0], y0_m + y * cell_m - position[1])
             if evidence[y, x] == UNKNOWN and BESIDE_M < away < seen_m:
                 blocked[y, x] = True
+
+
+@njit(cache=True)
+@no_type_check
+def _close_beside(blocked, known, evidence, start, end, frame, keep_m):
+    """Blocks unseen cells near known obstacles, but those next to where a route begins or ends."""
+    cell_m = frame[2]
+    height, width = blocked.shape
+    for y in range(height):
+        for x in range(width):
+            if evidence[y, x] == UNKNOWN and known[y, x] < keep_m:
+                begun = hypot(x - start[2], y - start[3]) * cell_m <= BESIDE_M
+                ended = hypot(x - end[2], y - end[3]) * cell_m <= END_M
+                blocked[y, x] = blocked[y, x] or not (begun or ended)
 
 
 @njit(cache=True)

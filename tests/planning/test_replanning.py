@@ -176,6 +176,25 @@ def test_near_the_vehicle_a_route_leads_through_cells_that_were_seen():
     assert far.route[0, 1].abs() < 0.01
 
 
+def test_beside_what_is_unseen_a_route_keeps_more_if_there_is_such_a_way():
+    between = (-0.1, 0.1, -6.0, 6.0)
+    field = known((-0.1, 0.1, -6.0, -0.5), (-0.1, 0.1, 0.5, 1.5), (-0.1, 0.1, 3.0, 6.0))
+
+    def passed(unseen, **options):
+        """Where the wall, whose gaps are 1 and 1.5 m wide, is crossed [m]."""
+        flight = Flight(clearance_m=0.35, **options)
+        flight.check(0, field, unseen)
+        points = torch.cat((flight.tensors[keys.POSITION_W], flight.route))
+        after = int((points[:, 0] > 0).float().argmax())
+        (x0, y0), (x1, y1) = points[after - 1, :2].tolist(), points[after, :2].tolist()
+        return y0 - x0 * (y1 - y0) / (x1 - x0)
+
+    assert abs(passed(between)) < 0.2
+    assert 1.9 < passed(between, unseen_m=0.2) < 2.6
+    assert abs(passed((0, 0, 0, 0), unseen_m=0.2)) < 0.2  # seen, it is wide enough
+    assert abs(passed(between, unseen_m=0.6)) < 0.2  # for both too narrow
+
+
 def test_where_all_round_is_unseen_a_route_leads_through_it():
     flight = Flight(seen_m=2.0)
     assert flight.check(0, known(), (-6, 6, -6, 6)) == RENEWED
