@@ -537,9 +537,10 @@ def _require(term: Term, known: set[NestedKey], fact: str) -> None:
                 "(keys.POSITION_W,) with its comma."
             )
         if key not in known:
+            add = "choose sensing=local, predicted, depth or lidar2d"
+            add = add if key in keys.KNOWN_MAP else "add a term that writes it"
             raise ConfigError(
-                f"{term.path} reads {'.'.join(key)}, {fact}; "
-                "add a term that writes it, or drop this one."
+                f"{term.path} reads {'.'.join(key)}, {fact}; {add}, or drop this one."
             )
 
 
