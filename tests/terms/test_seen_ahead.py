@@ -12,7 +12,7 @@ from resc.terms.observations.seen_ahead import SeenAhead
 SEEN = -20
 
 
-def told(boxes=(), points=((2.0, 0.0), (2.0, 3.0)), **options):
+def told(boxes=(), points=((2.0, 0.0), (2.0, 3.0)), size=(12.0, 12.0), **options):
     """What is told at (0, 0) of a map around it, with boxes (x0, x1, y0, y1) [m] never seen."""
     term = SeenAhead(**options).named("seen_ahead")
     term.bind(Context(dt_s=0.02, resolution_m=0.1, vehicle=None))
@@ -26,6 +26,7 @@ def told(boxes=(), points=((2.0, 0.0), (2.0, 3.0)), **options):
         route,
         torch.zeros(1, 1, dtype=torch.int64),
         torch.tensor([[-6.0, -6.0]]),
+        torch.tensor([size]),
         evidence,
     )
     return float(number)
@@ -52,6 +53,7 @@ def test_beyond_the_second_point_and_the_map_nothing_is_unseen():
     assert told([(2.5, 4.0, -3.0, 3.0)], points=((1.0, 0.0), (2.0, 0.0))) == 4.0
     assert told([(1.0, 4.0, -3.0, 3.0)], points=((0.5, 0.0), (0.5, 0.0))) == 4.0
     assert told(points=((8.0, 0.0), (9.0, 0.0)), range_m=9.0) == 9.0
+    assert told([(1.0, 4.0, -3.0, 3.0)], size=(6.5, 12.0)) == 4.0  # the rest is of larger maps
 
 
 def test_a_flight_with_a_camera_is_told_of_what_it_has_not_seen_yet(make_env):

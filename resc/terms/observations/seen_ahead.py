@@ -1,6 +1,6 @@
 """How much of the way ahead has been seen."""
 
-from typing import Unpack
+from typing import Annotated, Unpack
 
 import torch
 from jaxtyping import Float, Int, Int8
@@ -8,7 +8,7 @@ from torch import Tensor
 
 from resc import keys
 from resc.maps.known_map import UNKNOWN
-from resc.quantities import Positive
+from resc.quantities import NotNegative, Within
 from resc.term import Context, Observation, ObservationOptions
 
 
@@ -32,6 +32,7 @@ class SeenAhead(Observation):
         keys.CONTROL_POINTS_W,
         keys.SCENE_INDEX,
         keys.MAP_ORIGIN_W,
+        keys.MAP_SIZE,
         keys.KNOWN_EVIDENCE,
     )
     units = ("m",)
@@ -40,8 +41,8 @@ class SeenAhead(Observation):
     def __init__(
         self,
         *,
-        range_m: Positive = 4.0,
-        beside_m: Positive = 0.35,
+        range_m: Annotated[float, Within(0.5, 50.0)] = 4.0,
+        beside_m: NotNegative = 0.35,
         **options: Unpack[ObservationOptions],
     ) -> None:
         super().__init__(**options)
@@ -60,6 +61,7 @@ class SeenAhead(Observation):
         points: Float[Tensor, "n 2 3"],
         index: Int[Tensor, "n 1"],
         origin: Float[Tensor, "p 2"],
+        size: Float[Tensor, "p 2"],
         evidence: Int8[Tensor, "n h w"],
     ) -> Float[Tensor, "n 1"]:
         here, first, second = position[:, :2], points[:, 0, :2], points[:, 1, :2]
@@ -76,10 +78,11 @@ class SeenAhead(Observation):
         )
         left = self.beside_m * torch.stack((-along[..., 1], along[..., 0]), -1)
         lines = torch.stack((place, place + left, place - left), 1)  # [n, 3, t, 2]
-        cell = ((lines - origin[index[:, 0], None, None]) / self.cell_m).floor().long()
-        column, row = cell.unbind(-1)
+        of_map = index[:, 0], None, None
+        on_map = lines - origin[of_map]
+        within = ((on_map >= 0) & (on_map < size[of_map])).all(-1)
+        column, row = (on_map / self.cell_m).floor().long().unbind(-1)
         height, width = evidence.shape[1:]
-        within = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         flat = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
         known = evidence.flatten(1).gather(1, flat.flatten(1)).view(flat.shape)
         unseen = ((known == UNKNOWN) & within).any(1) & (gone <= near + far)
