@@ -9,7 +9,8 @@ import torch
 from resc import keys
 from resc.build import build, build_term, build_terms, plain, resolved, without_difficulty
 from resc.envs.quadrotor import QuadrotorEnv
-from resc.envs.stages import Stages, Terms
+from resc.envs.stages import Stages
+from resc.envs.terms import Terms
 from resc.errors import ConfigError
 from resc.groups import GROUPS, TASK, Group
 from resc.maps.cells import require_room

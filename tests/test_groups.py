@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from resc.envs.stages import Terms
+from resc.envs.terms import Terms
 from resc.groups import BOUND, DELTAS, EVALUATE, GROUPS, TASK, TRAIN, names
 from resc.schema import BoundSchema, EvaluateSchema, TrainSchema
 

@@ -1,13 +1,15 @@
 """The control step and the reset as pure functions of tensors, assembled from terms."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from resc import keys
+from resc.envs.terms import Terms, sensors_read_by
+from resc.envs.wiring import check_wiring
 from resc.errors import ConfigError
 from resc.keys import DECLARED, NestedKey, previous
 from resc.math import stream
@@ -15,76 +17,15 @@ from resc.math.repeat import repeated
 from resc.math.rotation import heading
 from resc.simulation import gyro
 from resc.term import (
-    Action,
     Context,
     Device,
     Estimator,
-    Metric,
-    Observation,
-    Randomization,
-    Replanning,
-    Reward,
-    Sensing,
-    Sensor,
     Term,
-    Termination,
 )
 
 World = dict[NestedKey, Tensor]
 
 SUCCESS = "success"
-
-
-@dataclass(frozen=True)
-class Terms:
-    """Everything an environment is made of, in the order it runs.
-
-    Observations in the order of the policy's input; `critic_observations` are seen by the value
-    function alone. Without an estimator, the policy sees the true state; without a sensing, the
-    whole map.
-    """
-
-    action: Action
-    rate_loop: Term
-    dynamics: Term
-    task: Term
-    initial_state: Term
-    sensors: Sequence[Sensor]
-    terminations: Sequence[Termination]
-    rewards: Sequence[Reward]
-    observations: Sequence[Observation]
-    randomizations: Sequence[Randomization] = field(default_factory=tuple)
-    metrics: Sequence[Metric] = field(default_factory=tuple)
-    critic_observations: Sequence[Observation] = field(default_factory=tuple)
-    estimator: Estimator | None = None
-    sensing: Sensing | None = None
-    replanning: Replanning | None = None
-
-    @property
-    def measuring(self) -> list[Term]:
-        """What sees the map, the sensors, then what estimates the state from these."""
-        seeing = [self.sensing] if self.sensing else []
-        return [*seeing, *self.sensors, *([self.estimator] if self.estimator else [])]
-
-    @property
-    def observed(self) -> list[Observation]:
-        """What the policy sees, then what the value function sees in addition."""
-        return [*self.observations, *self.critic_observations]
-
-    def __iter__(self) -> Iterator[Term]:
-        """Every term, in the order of a step, the reset's terms first."""
-        yield from self.randomizations
-        yield self.initial_state
-        yield from (self.action, self.rate_loop, self.dynamics, self.task)
-        for stage in (
-            self.measuring,
-            self.terminations,
-            self.rewards,
-            self.metrics,
-            [self.replanning] if self.replanning else [],
-            self.observed,
-        ):
-            yield from stage
 
 
 class StepOutput(NamedTuple):
@@ -145,7 +86,8 @@ class Stages(nn.Module):
         self.devices = [t for t in terms.measuring if isinstance(t, Device | Estimator)]
         self.functions_seen = sensors_read_by(terms.observations, self.functions)
         self.outcomes = (SUCCESS, *(term.name for term in terms.terminations if not term.success))
-        self._check_wiring()
+        past = {key for key in self.memory if key[1:] in set(self.persistent)}
+        check_wiring(terms, at_begin={*self.persistent, *past}, functions=self.functions)
 
     @property
     def observation_columns(self) -> list[str]:
@@ -455,93 +397,12 @@ class Stages(nn.Module):
                     f"{'.'.join(key)} is at the beginning of an episode; add it to its begin()."
                 )
 
-    def _require_use(self) -> None:
-        """What is drawn for an episode must change something."""
-        loop, own_loop = self.terms.rate_loop, self.terms.dynamics.own_loop
-        heard = [term for term in self.terms if term is not loop]
-        by_loop = {*loop.reads, *self._noise}
-        read = {key for term in heard for key in term.reads} | (set() if own_loop else by_loop)
-        idle = [term for term in self.terms.randomizations if not read & set(term.outputs)]
-        if not idle:
-            return
-        facts = " and ".join(f"{term.path} draws {'.'.join(term.outputs[0])}" for term in idle)
-        unheard = (own_loop if by_loop & set(term.outputs) else term.readers for term in idle)
-        add = _choices([setting for setting in unheard if setting])
-        raise ConfigError(
-            f"{facts}, which nothing reads, so it would change nothing; {add}, or leave it out."
-        )
-
-    def _check_wiring(self) -> None:
-        """Every key a term reads must be there before it runs, for observations at a reset too."""
-        if keys.FINISHED not in self.terms.task.outputs:
-            raise ConfigError(
-                f"{self.terms.task.path} does not write {'.'.join(keys.FINISHED)}, by which "
-                "episodes succeed; let it write whether the task is done."
-            )
-        self._require_use()
-        if self.terms.replanning and not self.terms.sensing:
-            raise ConfigError(
-                f"{self.terms.replanning.path} goes by the map that a vehicle knows, but without a "
-                "sensing the whole map is known from the beginning; choose sensing=local, "
-                "predicted, depth or lidar2d, or replanning=none."
-            )
-        kept = set(self.persistent)
-        past = {key for key in self.memory if key[1:] in kept}
-        shared = {key for key, declared in DECLARED.items() if declared.shared}
-        of_scene = {keys.START_W, keys.START_MOTION, keys.ROUTE_CLEARANCE}
-        of_scene |= {keys.ROUTE_W, keys.ROUTE_LENGTH}
-        at_reset = shared | kept | past | of_scene | {keys.CLOCK}
-        known = at_reset | {keys.ACTION}
-        for term in self.terms:
-            if isinstance(term, Reward | Replanning):
-                known |= {keys.TERMINATED, keys.TRUNCATED, keys.DONE}
-            _require(term, known, "which nothing before it writes")
-            known |= set(term.outputs)
-        for term in self.functions:
-            at_reset |= set(term.outputs) if at_reset.issuperset(term.reads) else set()
-        for term in self.terms.observed:
-            _require(term, at_reset, "which an episode does not begin with")
-
-
-def _choices(settings: Sequence[str]) -> str:
-    """What to choose, for a message: one file of a group, or settings of that which is chosen."""
-    last = {setting.split("=")[0]: setting for setting in settings}
-    files = {name for name in last if "." not in name}
-    chosen = [last[name] for name in last if name in files or name.split(".")[0] not in files]
-    return f"choose {' '.join(chosen)}" if chosen else "add what reads it"
-
 
 def _bind(term: Term, context: Context) -> None:
     try:
         term.bind(context)
     except ConfigError as error:
         raise ConfigError(f"{term.path}: {error}") from None
-
-
-def sensors_read_by(readers: Iterable[Term], sensors: Sequence[Sensor]) -> list[Sensor]:
-    """The sensors that the terms read, and those that these read."""
-    wanted = {key for term in readers for key in term.reads}
-    found: list[Sensor] = []
-    for sensor in reversed(sensors):
-        if wanted.intersection(sensor.outputs):
-            found.insert(0, sensor)
-            wanted.update(sensor.reads)
-    return found
-
-
-def _require(term: Term, known: set[NestedKey], fact: str) -> None:
-    for key in term.reads:
-        if not isinstance(key, tuple):
-            raise ConfigError(
-                f"{term.path} reads {key!r}, which is not a key; reads is a tuple of keys such as "
-                "(keys.POSITION_W,) with its comma."
-            )
-        if key not in known:
-            add = "choose sensing=local, predicted, depth or lidar2d"
-            add = add if key in keys.KNOWN_MAP else "add a term that writes it"
-            raise ConfigError(
-                f"{term.path} reads {'.'.join(key)}, {fact}; {add}, or drop this one."
-            )
 
 
 def _run(term: Term, tensors: World, drawn: Mapping[str, Tensor]) -> None:

@@ -10,7 +10,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from resc.build import build, build_terms, plain
-from resc.envs.stages import Stages, World, sensors_read_by
+from resc.envs.stages import Stages, World
+from resc.envs.terms import sensors_read_by
 from resc.errors import ConfigError, shown
 from resc.math.sampling import generator_for
 from resc.setup import in_layout

@@ -7,7 +7,8 @@ from torch.testing import assert_close
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
-from resc.envs.stages import Stages, Terms
+from resc.envs.stages import Stages
+from resc.envs.terms import Terms
 from resc.setup import set_up
 from resc.term import Observation, Sensor, Term, Termination
 from resc.terms.metrics.flight import PathLength

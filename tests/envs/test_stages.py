@@ -2,7 +2,8 @@ import pytest
 import torch
 
 from resc import keys
-from resc.envs.stages import Stages, Terms
+from resc.envs.stages import Stages
+from resc.envs.terms import Terms
 from resc.errors import ConfigError
 from resc.setup import build_stages
 from resc.term import Context, Observation, Reward

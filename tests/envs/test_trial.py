@@ -5,7 +5,8 @@ import torch
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
-from resc.envs.stages import Stages, Terms
+from resc.envs.stages import Stages
+from resc.envs.terms import Terms
 from resc.errors import ConfigError
 from resc.learning.curriculum import Curricula
 from resc.setup import build_stages, set_up

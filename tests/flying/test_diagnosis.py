@@ -8,7 +8,8 @@ from omegaconf import OmegaConf
 
 from resc import keys
 from resc.envs.quadrotor import QuadrotorEnv
-from resc.envs.stages import Stages, Terms
+from resc.envs.stages import Stages
+from resc.envs.terms import Terms
 from resc.errors import NumericalError
 from resc.learning.trainer import Trainer
 from resc.learning.training_run import TrainingRun
