@@ -97,8 +97,8 @@ def every_list():
     chosen = {g: [n for n in found if not is_set(g, n)] for g, found in chosen.items()}
     chosen["sensor"].sort(key=lambda name: name != "euler")  # others read it
     lists = [f"{group}=[{','.join(found)}]" for group, found in chosen.items()]
-    # as the margins, the wind, the gains and the charge that are drawn want it
-    return [*lists, "scene.clearance_m=[0.3,0.5]", *DRAWN_BY]
+    # as the margins, the wind, the gains and the charge that are drawn want it, and what is seen
+    return [*lists, "scene.clearance_m=[0.3,0.5]", "sensing=local", *DRAWN_BY]
 
 
 @pytest.fixture(scope="module")
