@@ -41,9 +41,11 @@ LONG := tests/envs/test_compiled.py::test_the_step_is_one_graph_and_another_diff
 	tests/test_mutations.py::test_dozens_of_wrong_settings_and_files_end_in_a_sentence_or_fly tests/test_waits.py \
 	tests/test_wheel.py tests/deployment/test_export.py tests/test_examples.py tests/pages/test_browser.py tests/viewing/test_rerun_browser.py \
 	tests/maps/test_ray_casting.py tests/test_compile_kernels.py tests/flying/test_replay.py tests/flying/test_pursuit.py \
-	tests/evaluation/test_courses.py tests/learning/test_algorithms.py
+	tests/evaluation/test_courses.py tests/learning/test_algorithms.py tests/simulation/test_px4.py tests/simulation/test_external.py \
+	tests/baselines/test_pilot.py tests/flight_logs/test_identify.py tests/planning/test_time_optimal.py tests/terms/test_estimators.py \
+	tests/terms/test_vehicle_errors.py
 
-test-long: $(STAMP) ## Run the slow tests that CI runs, too: wheel, files of a policy, examples, notebook, pages in a browser, the traced step, wrong settings, further replays and algorithms.
+test-long: $(STAMP) ## Run the slow tests that CI runs, too: wheel, files of a policy, examples, pages in a browser, wrong settings, more cases of others.
 	$(PY) -m pytest -n auto --maxprocesses 2 --dist worksteal -m slow $(LONG) $(ARGS)
 
 gpu: $(STAMP) ## Check on a GPU what can only be checked there, and measure it: under five minutes.

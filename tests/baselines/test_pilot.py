@@ -115,6 +115,7 @@ def test_a_planner_that_only_fails_is_given_up_once_the_vehicle_hovers(found_unt
     assert len(flight.planner.plans) == calls
 
 
+@pytest.mark.slow
 def test_a_planner_flies_once_before_its_planning_is_timed(flown):
     begun = []
 

@@ -45,6 +45,7 @@ def test_clean_steps_give_the_response_of_a_known_loop(trace):
         assert_true(result.measured, 0.006)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt_s", [0.001, 0.02])
 def test_rates_of_other_logging_rates_give_it_too(trace, dt_s):
     for result in rate_responses(trace(doublets(dt_s), dt_s=dt_s), MODEL):

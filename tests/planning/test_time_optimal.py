@@ -129,6 +129,7 @@ def test_very_short_flight_takes_the_time_of_its_closed_form(way_m):
     assert found.duration_s == pytest.approx((6 * way_m / 20) ** (1 / 3), rel=0.015)
 
 
+@pytest.mark.slow
 @solving
 def test_obstacle_far_from_the_path_is_kept_clear_of():
     """The path leads round a wall; the way back to the straight line meets a pillar."""

@@ -142,6 +142,7 @@ def test_rotorpys_own_loop_brings_63_percent_of_a_rate_step_in_50_ms(context):
         assert early[0, axis] < 0.63 < late[0, axis]
 
 
+@pytest.mark.slow
 def test_rotorpys_air_slows_a_vehicle_down(context):
     hover = rows(*[MASS * 9.81 / 4] * 4)
     begun = start(thrust=hover, velocity=rows(3.0, 0.0, 0.0))

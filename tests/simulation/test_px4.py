@@ -92,6 +92,7 @@ def test_the_torque_of_a_run_uses_the_integrator_of_the_run_before(context):
     assert second - first == pytest.approx(grown, abs=2e-6)
 
 
+@pytest.mark.slow
 def test_the_integrator_stops_at_its_limit(context):
     loop = Loop(context).run(3000, (0.0, 1.0, 0.0))
     assert loop[keys.RATE_INTEGRAL][1] == pytest.approx(-0.3)  # FRD

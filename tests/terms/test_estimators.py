@@ -104,7 +104,7 @@ def errors(env, steps=35):
     return torch.stack(found).square().sum(-1).mean((0, 2)).sqrt().tolist()
 
 
-@pytest.mark.parametrize("name", ["kf_cv", "kf_imu", "ekf"])
+@pytest.mark.parametrize("name", [pytest.param("kf_cv", marks=pytest.mark.slow), "kf_imu", "ekf"])
 @pytest.mark.parametrize("latency_s", [pytest.param(0.01, marks=pytest.mark.slow), 0.02])
 def test_making_up_for_the_latency_beats_leaving_it(make_env, name, latency_s):
     chosen = (*FREE, "num_envs=64", f"estimator={name}", f"sensor.mocap.latency_s={latency_s}")
@@ -114,6 +114,7 @@ def test_making_up_for_the_latency_beats_leaving_it(make_env, name, latency_s):
     assert known[0] < (0.015 if name == "kf_cv" else 0.003)
 
 
+@pytest.mark.slow
 def test_the_accelerometer_helps_and_the_simplest_is_worst(make_env):
     found = {
         name: errors(make_env(*FREE, "num_envs=64", f"estimator={name}"))

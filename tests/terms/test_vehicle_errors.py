@@ -109,7 +109,9 @@ def test_a_draw_of_the_nominal_value_flies_as_without_it(make_env, parts, drawn,
         assert_close(varied.value_of(key), usual.value_of(key), rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("loop", ["px4", "normalized", "torque"])
+@pytest.mark.parametrize(
+    "loop", [pytest.param("px4", marks=pytest.mark.slow), "normalized", "torque"]
+)
 def test_every_rate_loop_flies_by_what_its_gyroscope_reads(make_env, loop):
     bias = "randomization.gyro={noise_radps:0.0,bias_radps:0.3}"
     env = make_env(*FAST, f"rate_loop={loop}", "randomization=[gyro]", bias)
