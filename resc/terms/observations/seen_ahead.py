@@ -52,7 +52,8 @@ class SeenAhead(Observation):
     def bind(self, context: Context) -> None:
         """Takes the size of a cell: the way is looked at once in each."""
         self.cell_m = context.resolution_m
-        places = torch.arange(1, int(self.range_m / self.cell_m) + 1) * self.cell_m
+        cells = max(1, round(self.range_m / self.cell_m))
+        places = torch.arange(1, cells + 1) * self.cell_m
         self.register_buffer("distance", places, persistent=False)
 
     def compute(
