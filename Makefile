@@ -38,6 +38,7 @@ test: $(STAMP) ## Run the tests that take seconds; ARGS='-m slow' for the others
 	$(PY) -m pytest -n auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 LONG := tests/envs/test_compiled.py::test_the_step_is_one_graph_and_another_difficulty_needs_no_other \
+	tests/test_combinations.py::test_every_preset_flies_and_keeps_its_specs tests/envs/test_independence.py tests/studies/test_one_task.py \
 	tests/test_mutations.py::test_dozens_of_wrong_settings_and_files_end_in_a_sentence_or_fly tests/test_waits.py \
 	tests/test_wheel.py tests/deployment/test_export.py tests/test_examples.py tests/pages/test_browser.py tests/viewing/test_rerun_browser.py \
 	tests/maps/test_ray_casting.py tests/test_compile_kernels.py tests/flying/test_replay.py tests/flying/test_pursuit.py \

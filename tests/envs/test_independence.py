@@ -125,6 +125,7 @@ def test_another_seed_changes_every_draw(states, usual):
     assert changed(usual, states("seed=1")) == EVERYBODY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("override", SWAPS)
 def test_swapping_a_part_leaves_the_draws_of_the_others_alone(states, usual, override):
     assert changed(usual, states(override)) <= SWAPS[override]

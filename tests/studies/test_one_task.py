@@ -27,6 +27,7 @@ def variants(path):
     return list(itertools.product(*choices))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ABLATIONS, ids=lambda path: path.stem)
 def test_all_variants_of_an_ablation_fly_the_same_held_out_episodes(path, compose):
     runs = [TrainingRun(compose(f"+experiment={path.stem}", *own)) for own in variants(path)]
