@@ -41,6 +41,8 @@ class PlannedScenes:
         on_the_way: Share of the episodes that begin on the way.
         speed_mps: Greatest speed of those as they begin, if the task allows as much.
         heading_rad: Greatest angle of that speed to the first control point, likewise.
+        astray: Share of them that begin with any speed and angle that the task allows, as a vehicle
+            does whose route has just turned.
         height_m: Flight height.
         height_spread_m: Start and control points differ by up to this from it.
         tries: How often the map of a scene is drawn before its family is given up.
@@ -60,6 +62,7 @@ class PlannedScenes:
         on_the_way: Share = 0.7,
         speed_mps: NotNegative = 2.0,
         heading_rad: Angle = 0.35,
+        astray: Share = 0.0,
         height_m: Positive = 1.0,
         height_spread_m: NotNegative = 0.1,
         tries: Count = 100,
@@ -80,6 +83,7 @@ class PlannedScenes:
         self.points = points
         self.on_the_way = on_the_way
         self.start_motion = (speed_mps, heading_rad)
+        self.astray = astray
         self.height_m = height_m
         self.height_spread_m = height_spread_m
         self.tries = tries
@@ -158,7 +162,11 @@ class PlannedScenes:
         begin = torch.where(too_near, 0, begin)
         end = (begin + self.points).minimum(length)
         ahead = (begin + 1 + torch.arange(self.points)).minimum(end)
-        motion = torch.tensor(self.start_motion) * (begin > 0)
+        motion = torch.tensor(self.start_motion).expand(count, 2)
+        if self.astray > 0:
+            free = uniform((count, 1), 0, 1, generator) < self.astray
+            motion = torch.where(free, torch.inf, motion)
+        motion = motion.where(begin > 0, 0.0)
         return replace(
             layout,
             start_w=_point(way, begin),

@@ -108,6 +108,17 @@ def test_episodes_begin_at_rest_at_the_start_or_in_motion_on_the_way(planned):
     assert ((heights > 0.9) & (heights < 1.1)).all()
 
 
+def test_a_share_of_those_in_motion_may_be_in_any_and_the_rest_is_as_without(planned):
+    usual = lay_out(planned(speed_mps=1.5, heading_rad=0.2), 300)
+    layout = lay_out(planned(speed_mps=1.5, heading_rad=0.2, astray=0.4), 300)
+    astray = layout.start_motion.isinf().all(1)
+    moving = usual.start_motion[:, 0] > 0
+    assert 0.3 < astray[moving].float().mean() < 0.5
+    assert not astray[~moving].any()
+    assert torch.equal(layout.start_motion[~astray], usual.start_motion[~astray])
+    assert torch.equal(layout.start_w, usual.start_w)
+
+
 def test_families_share_the_scenes_by_their_weights(planned, load_part):
     families = dict(load_part("scene", "planned").families)
     some = {"forest": {**families["forest"], "weight": 3.0}, "gaps": families["gaps"]}
