@@ -38,9 +38,15 @@ class InFlight(Replanning):
     until the new ones arrive, `latency_steps` after the map that they are planned on. The first
     route of an episode is planned at once, on what the first look shows.
 
-    A route that begins against the motion of the vehicle is taken only if it is shorter by `turn_m`
-    than the shortest one that does not: turning back costs time, and as the map grows the shortest
-    way may lie now on this side, now on the other.
+    A route that begins against the motion of the vehicle, or turns from it more sharply than
+    `lateral_mps2` allows, is taken only if it is shorter by `turn_m` than the shortest one that
+    does not: turning back costs time, a sharp turn near an obstacle may end in it, and as the map
+    grows the shortest way may lie now on this side, now on the other.
+
+    What a vehicle flies through within `entered_s` it has entered: this part of a route is blocked
+    only where it comes within `entered_m` of a known obstacle, and is open to new routes until
+    then. A gap that turns out to be a little narrower is flown through: to turn away from it at
+    speed is more dangerous.
 
     An end inside the clearance is moved to the nearest free cell within `link_m`, and flagged.
     Where no way to the goal is known, the control points become the place where that was found, and
@@ -54,10 +60,13 @@ class InFlight(Replanning):
         clearance_m: What a new route keeps from known obstacles; null for what the first one kept,
             or the margin where that is not known.
         link_m: How far an end may be moved out of the clearance.
-        turn_m: How much longer a route may be that goes on than one that turns back.
+        turn_m: How much longer a route may be that goes on than one that turns sharply.
+        lateral_mps2: Acceleration across the motion with which a route may turn from it; 0 for any.
         seen_m: How near the vehicle a route has to lead through cells that were seen.
         unseen_m: How much more than the clearance a route keeps from known obstacles in cells that
             were not seen, if there is such a way: obstacles are thicker than their seen sides.
+        entered_s: For how long ahead a route counts as entered; 0 for no part of it.
+        entered_m: What that part has to keep from known obstacles.
         edge_m: How far new routes stay from the sides of the map; a nearer end is moved, as one
             inside the clearance is.
         latency_steps: Control steps from a map to the route that is planned on it.
@@ -117,8 +126,11 @@ class InFlight(Replanning):
         clearance_m: Positive | None = 0.4,
         link_m: NotNegative = 1.0,
         turn_m: NotNegative = 4.0,
+        lateral_mps2: NotNegative = 0.0,
         seen_m: NotNegative = 1.0,
         unseen_m: NotNegative = 0.0,
+        entered_s: NotNegative = 0.0,
+        entered_m: NotNegative = 0.15,
         edge_m: NotNegative = 0.0,
         latency_steps: Annotated[int, Within(0, 50)] = 1,
         max_expansions: Annotated[int, Within(1, 1e9)] = 100_000,
@@ -135,13 +147,19 @@ class InFlight(Replanning):
                 f"clearance_m is {clearance_m:g}, below margin_m, {margin_m:g}: a new route would "
                 "be blocked at once; raise it."
             )
+        if entered_s and entered_m > margin_m:
+            raise ConfigError(
+                f"entered_m is {entered_m:g}, above margin_m, {margin_m:g}: what is entered "
+                "keeps less than what is not; lower it."
+            )
         self.check_hz = check_hz
         self.margin_m, self.clearance_m = margin_m, clearance_m
         self.latency_steps = latency_steps
         self.points = points
         limits = (float(spacing_m[0]), float(spacing_m[1]), float(nominal_m))
-        unseen = (seen_m, unseen_m)
-        self.numbers = (ahead_m, margin_m, link_m, turn_m, *unseen, edge_m, max_expansions)
+        turn, entered = (turn_m, lateral_mps2), (entered_s, entered_m)
+        room = (ahead_m, margin_m, link_m, *turn, seen_m, unseen_m, edge_m, *entered)
+        self.numbers = (*room, max_expansions)
         self.limits = limits
         self.released = rule == "released"
         # numba: once a kernel that calls it is loaded from its cache, a function that gives arrays

@@ -2,10 +2,12 @@
 
 `settings` are the edge of a cell [m], how far ahead of the vehicle a route is checked [m], what it
 must keep [m], how far an end inside the clearance may be moved [m], by how much a route that goes
-on may be longer than one that turns back [m], within which distance of the vehicle cells have to be
-seen [m], how much more than the clearance is kept in cells that were not [m], how far from the
-sides of the map new routes stay [m], the greatest number of expansions, the spacing of control
-points, and whether they follow the released rule (`resc.planning.control_points`).
+on may be longer than one that turns sharply [m], the lateral acceleration with which it may turn
+[m/s^2], within which distance of the vehicle cells have to be seen [m], how much more than the
+clearance is kept in cells that were not [m], how far from the sides of the map new routes stay [m],
+for how long a route is entered [s], what that part of it must keep [m], the greatest number of
+expansions, the spacing of control points, and whether they follow the released rule
+(`resc.planning.control_points`).
 """
 
 from math import floor, hypot, sqrt
@@ -26,6 +28,8 @@ SLOW_MPS = 0.5
 """A slower vehicle may turn to any side."""
 BEHIND_M, BESIDE_M = 2.5, 0.3
 """How far a vehicle that goes on keeps from the way it came, and what still lies beside it."""
+BY_M = 0.2
+"""So near the vehicle a route may turn at will: there is no cell between the circles."""
 END_M = 0.5
 """So near the goal unseen cells beside obstacles are as good as others."""
 
@@ -80,8 +84,9 @@ def renew(
         counts: Written: how many of them.
         moved: Written: whether start or goal had to be moved out of the clearance.
     """
-    cell_m, look_m, margin_m, link_m, turn_m, seen_m, unseen_m, edge_m = settings[:8]
-    expansions, limits, released = settings[8:]
+    cell_m, look_m, margin_m, link_m, turn_m, lateral_mps2 = settings[:6]
+    seen_m, unseen_m, edge_m, entered_s, entered_m = settings[6:11]
+    expansions, limits, released = settings[11:]
     _, height, width = esdf.shape
     work = workspace(height * width, 8 * height * width)
     query = 0
@@ -96,7 +101,9 @@ def renew(
         known = esdf[n, :rows, :columns]
         seen = evidence[n, :rows, :columns]
         way = route[n, min(ahead[n], length[n] - 1) : length[n]]
-        reach = look_m, margin_m, seen_m
+        speed = hypot(velocity[n, 0], velocity[n, 1])
+        entered = entered_s * speed, entered_m
+        reach = look_m, margin_m, seen_m, entered
         if not always[n] and _is_clear(known, seen, corner, cell_m, position[n], way, reach):
             status[n] = ON_ROUTE
             continue
@@ -108,6 +115,8 @@ def renew(
             room[:edge], room[rows - edge :] = True, True
             room[:, :edge], room[:, columns - edge :] = True, True
         frame = (corner[0] + 0.5 * cell_m, corner[1] + 0.5 * cell_m, cell_m)
+        if not always[n]:
+            _open_entered(room, known, position[n], way, frame, entered)
         start = _freed(room, position[n], frame, link_m)
         end = _freed(room, goal[n], frame, link_m)
         if start[2] < 0 or end[2] < 0:
@@ -128,9 +137,10 @@ def renew(
             status[n] = GAVE_UP if found[0] == BUDGET else CLOSED_OFF
             continue
         path = work[-1][: found[1]].copy()
-        if _turns_back(path, velocity[n]):
+        radius = speed * speed / lateral_mps2 if lateral_mps2 > 0 else 0.0
+        if _turns_sharply(path, velocity[n], speed, radius, cell_m):
             onward = chart.copy()
-            _close_behind(onward, position[n], velocity[n], frame)
+            _close_sharp_turns(onward, position[n], velocity[n], speed, radius, frame)
             if not onward[start[3], start[2]] and not onward[end[3], end[2]]:
                 found = _found(onward, start, end, frame, expansions, query + 2, work)
                 other = work[-1][: found[1]]
@@ -167,9 +177,9 @@ def _is_clear(known, evidence, corner, cell_m, position, way, reach):
     """Whether the way through the next control points keeps the margin, once it keeps it at all.
 
     A vehicle inside the margin has left its route already: what counts is where it goes from there.
-    Near the vehicle, the way must have been seen.
+    Near the vehicle, the way must have been seen; the part that it has entered keeps less.
     """
-    look_m, margin_m, seen_m = reach
+    look_m, margin_m, seen_m, (entered_to_m, entered_m) = reach
     height, width = known.shape
     inside, gone = True, 0.0
     x, y = position[0], position[1]
@@ -187,7 +197,8 @@ def _is_clear(known, evidence, corner, cell_m, position, way, reach):
             away = hypot(px - position[0], py - position[1])
             if evidence[row, column] == UNKNOWN and BESIDE_M < away < seen_m:
                 return False
-            near = known[row, column] < margin_m
+            keep = entered_m if gone + far * s / steps < entered_to_m else margin_m
+            near = known[row, column] < keep
             if near and not inside:
                 return False
             inside = inside and near
@@ -248,28 +259,77 @@ def _freed(blocked, point, frame, link_m):
 
 @njit(cache=True)
 @no_type_check
-def _turns_back(path, velocity):
-    """Whether a path begins against the motion of a vehicle that is not slow."""
-    if len(path) < 2 or hypot(velocity[0], velocity[1]) < SLOW_MPS:
-        return False
-    along = (path[1, 0] - path[0, 0]) * velocity[0] + (path[1, 1] - path[0, 1]) * velocity[1]
-    return along < 0
+def _open_entered(blocked, known, position, way, frame, entered):
+    """Opens the cells along the part of the way that the vehicle has entered."""
+    x0_m, y0_m, cell_m = frame
+    to_m, keep_m = entered
+    height, width = blocked.shape
+    gone = 0.0
+    x, y = position[0], position[1]
+    for k in range(len(way)):
+        far = hypot(way[k, 0] - x, way[k, 1] - y)
+        steps = max(1, int(far / (0.5 * cell_m)) + 1)
+        for s in range(steps + 1):
+            if gone + far * s / steps >= to_m:
+                return
+            column = floor((x + (way[k, 0] - x) * s / steps - x0_m) / cell_m)
+            row = floor((y + (way[k, 1] - y) * s / steps - y0_m) / cell_m)
+            for v in range(max(0, row), min(height, row + 2)):
+                for u in range(max(0, column), min(width, column + 2)):
+                    if known[v, u] >= keep_m:
+                        blocked[v, u] = False
+        gone += far
+        x, y = way[k, 0], way[k, 1]
 
 
 @njit(cache=True)
 @no_type_check
-def _close_behind(blocked, position, velocity, frame):
-    """Blocks the cells near the vehicle that lie against its motion, but those next to it."""
+def _turns_sharply(path, velocity, speed, radius, cell_m):
+    """Whether a path begins against the motion of a vehicle that is not slow, or turns tighter.
+
+    That is, comes more than a cell within one of the two circles of the radius that touch the
+    motion where the vehicle is.
+    """
+    if len(path) < 2 or speed < SLOW_MPS:
+        return False
+    along = (path[1, 0] - path[0, 0]) * velocity[0] + (path[1, 1] - path[0, 1]) * velocity[1]
+    if along < 0:
+        return True
+    gone = 0.0
+    for k in range(len(path) - 1):
+        far = hypot(path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1])
+        steps = int(far / (0.5 * cell_m)) + 1
+        for s in range(1, steps + 1):
+            if gone + far * s / steps > 2 * radius:
+                return False
+            east = path[k, 0] + (path[k + 1, 0] - path[k, 0]) * s / steps - path[0, 0]
+            north = path[k, 1] + (path[k + 1, 1] - path[k, 1]) * s / steps - path[0, 1]
+            across = abs(east * velocity[1] - north * velocity[0]) / speed
+            if east * east + north * north < 2 * radius * (across - cell_m):
+                return True
+        gone += far
+    return False
+
+
+@njit(cache=True)
+@no_type_check
+def _close_sharp_turns(blocked, position, velocity, speed, radius, frame):
+    """Blocks the cells near the vehicle against its motion, and those within the two circles.
+
+    But those next to it: the path begins there.
+    """
     x0_m, y0_m, cell_m = frame
     height, width = blocked.shape
-    speed = hypot(velocity[0], velocity[1])
-    reach = int(BEHIND_M / cell_m)
+    reach = int(max(BEHIND_M, 2 * radius) / cell_m) + 1
     column, row = int((position[0] - x0_m) / cell_m), int((position[1] - y0_m) / cell_m)
     for y in range(max(0, row - reach), min(height, row + reach + 1)):
         for x in range(max(0, column - reach), min(width, column + reach + 1)):
             east, north = x0_m + x * cell_m - position[0], y0_m + y * cell_m - position[1]
+            squared = east * east + north * north
             along = (east * velocity[0] + north * velocity[1]) / speed
-            if along < -BESIDE_M and east * east + north * north <= BEHIND_M * BEHIND_M:
+            across = abs(east * velocity[1] - north * velocity[0]) / speed
+            behind = along < -BESIDE_M and squared <= BEHIND_M * BEHIND_M
+            if behind or BY_M * BY_M < squared < 2 * radius * (across - 0.5 * cell_m):
                 blocked[y, x] = True
 
 

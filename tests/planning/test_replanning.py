@@ -215,6 +215,53 @@ def test_a_moving_vehicle_turns_back_only_for_a_much_shorter_way():
     assert routes[0.0] > 0 > routes[8.0]
 
 
+def place(flight, position, velocity):
+    """Puts the vehicle onto its route, behind the control points that it has passed."""
+    flight.tensors[keys.POSITION_W] = torch.tensor([[*position, 1.0]])
+    flight.tensors[keys.VELOCITY_W] = torch.tensor([[*velocity, 0.0]])
+    passed = int((flight.route[:, 0] < position[0]).sum())
+    flight.tensors[keys.ROUTE_INDEX] = torch.tensor([[passed]])
+
+
+def test_a_fast_vehicle_turns_sharply_only_for_a_much_shorter_way():
+    across = (0.0, 0.2, -0.6, 1.8)  # the shortest way leads round its lower end
+    turned = {}
+    for lateral_mps2, speed in itertools.product((0.0, 6.0), (1.0, 2.5)):
+        flight = Flight(check_hz=50.0, lateral_mps2=lateral_mps2)
+        flight.check(0, known())
+        place(flight, (-1.2, 0.4), (0.95 * speed, 0.31 * speed))
+        assert flight.check(1, known(across)) == RENEWED
+        flight.check(2, known(across))
+        turned[lateral_mps2, speed] = bool(flight.route[0, 1] < 0.4)
+    assert turned == {(0.0, 1.0): True, (0.0, 2.5): True, (6.0, 1.0): True, (6.0, 2.5): False}
+
+
+def test_what_is_entered_is_flown_through_though_it_is_narrower_than_it_looked():
+    gap = known((0.0, 0.2, -6.0, -0.2), (0.0, 0.2, 0.2, 6.0))  # 0.2 m to each side
+
+    def found(x, speed, **options):
+        flight = Flight(check_hz=50.0, **options)
+        flight.check(0, known())
+        place(flight, (x, 0.0), (speed, 0.0))
+        return flight.check(1, gap)
+
+    entered = {"entered_s": 1.0, "entered_m": 0.15}
+    assert found(-1.0, 2.0) == CLOSED_OFF
+    assert found(-1.0, 2.0, **entered) == ON_ROUTE
+    assert found(-3.0, 2.0, **entered) == CLOSED_OFF  # it is too far away yet
+    assert found(-1.0, 0.5, **entered) == CLOSED_OFF  # there is time to turn
+    assert found(-1.0, 2.0, **entered | {"entered_m": 0.25}) == CLOSED_OFF
+
+
+def test_a_new_route_keeps_to_what_is_entered():
+    gap = known((0.0, 0.2, -6.0, -0.3), (0.0, 0.2, 0.3, 6.0), (3.0, 3.2, -2.0, 1.0))
+    for entered_s in (0.0, 1.0):
+        flight = Flight(check_hz=50.0, clearance_m=0.5, entered_s=entered_s)
+        flight.check(0, known())
+        place(flight, (-1.0, 0.0), (2.0, 0.0))
+        assert flight.check(1, gap) == (RENEWED if entered_s else CLOSED_OFF)
+
+
 def test_flights_replan_on_what_they_see_and_the_same_seed_gives_the_same_bits(make_env):
     chosen = ("scene=planned", "num_envs=8", "sensing=depth", "replanning=in_flight")
     ends = []
@@ -267,7 +314,8 @@ def test_routes_begin_at_the_estimated_state_and_not_at_the_true_one(make_env, k
     for changed in (None, key, keys.ESTIMATES[key]):
         tensors = {name: value.clone() for name, value in world.items()}
         if changed is not None:
-            tensors[changed][:, :2] = torch.tensor([[-30.0, 30.0]])
+            far = 30.0 if key == keys.POSITION_W else 1.5
+            tensors[changed][:, :2] = torch.tensor([[-far, far]])
         env.stages._replan(tensors)
         routes.append(tensors[keys.ROUTE_W])
     assert torch.equal(routes[0], routes[1])
@@ -279,6 +327,7 @@ def test_routes_begin_at_the_estimated_state_and_not_at_the_true_one(make_env, k
     [
         ([], "replanning goes by the map that a vehicle knows.* choose sensing=local"),
         (["sensing=depth", "replanning.clearance_m=0.2"], r"clearance_m is 0\.2, below margin_m"),
+        (["sensing=depth", "replanning.entered_m=0.3"], r"entered_m is 0\.3, above margin_m"),
         (["sensing=depth", "replanning.points=8", "replanning.check_hz=1"], "check_hz is 1, one"),
         (["sensing=depth", "replanning.spacing_m=[2,1]"], r"spacing_m is \[2.0, 1.0\]; expec"),
         (["sensing=depth", "replanning.latency_steps=-1"], r"replanning\.latency_steps is -1"),
