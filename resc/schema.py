@@ -77,7 +77,7 @@ class TrainSchema(RunSchema):
 
     name: str = "train"
     num_envs: int = 1024
-    total_frames: int = 24_000_000
+    total_frames: int = 48_000_000
     pool_size: int = 2048
     renew_scenes: int = 64
     evaluation_episodes: int = 1000

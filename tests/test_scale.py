@@ -34,7 +34,7 @@ def commands(heading):
 
 def begin(line, folder):
     """Starts a line of the page in a folder."""
-    words = shlex.split(line.replace("36000000", "512"))
+    words = shlex.split(line.replace("60000000", "512"))
     start = {
         "python": [sys.executable],
         "torchrun": [sys.executable, "-m", "torch.distributed.run"],
