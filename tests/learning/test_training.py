@@ -155,4 +155,4 @@ def test_resumed_run_takes_the_readers_allowed_targets_not_the_folders(compose, 
 def test_table_of_terms_names_every_column_and_weight(make_stages):
     text = describe(make_stages())
     assert "kgp_esdf              22-30" in text
-    assert "progress                  12" in text
+    assert "progress                16.8" in text
