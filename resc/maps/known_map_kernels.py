@@ -13,7 +13,7 @@ from resc.maps.distance_transform import square_window
 
 F = np.float32
 UNKNOWN = -128
-FEW, FEW_FREED = 24, 8
+FEW, FEW_FREED = 192, 12
 """So many new obstacle cells are painted one by one, and around so many lost ones as well."""
 
 
@@ -51,7 +51,9 @@ def scan(
     for n in range(first, last):
         for b in range(beams):
             longest = max(longest, length[n, b])
-    along = np.empty((beams, int(longest / half) + 2), np.int32)
+    step = np.arange(int(longest / half) + 2).astype(F) * half
+    along = np.empty((beams, step.size), np.int32)
+    table = _distances(truncation, resolution)
     for n in range(first, last):
         if not due[n]:
             continue
@@ -66,16 +68,15 @@ def scan(
         for b in range(beams):
             ux, uy, far = direction[n, b, 0], direction[n, b, 1], length[n, b]
             reach[b] = far
+            ahead = step[: np.searchsorted(step, far)]
+            _cells(along[b], ahead, (x0, y0), (ux, uy), (wide, high), per_m, (width, height))
             k = 0
-            while F(k) * half < far:
-                x, y = x0 + ux * (F(k) * half), y0 + uy * (F(k) * half)
-                if not (x >= F(0) and y >= F(0) and x < wide and y < high):
+            while k < ahead.size:
+                cell = along[b, k]
+                if cell < 0:
                     break
-                column, row = _cell(x, y, per_m, width, height)
-                cell = row * width + column
-                along[b, k] = cell
                 if true[cell] <= F(0) or (moves and moving[cell] == mark):
-                    at = F(k) * half
+                    at = step[k]
                     measured = max(at + offset[n, b] + growth[n, b] * (at * at), F(0))
                     reach[b] = measured - F(resolution)
                     x, y = x0 + ux * (measured + half), y0 + uy * (measured + half)
@@ -91,7 +92,7 @@ def scan(
         for b in range(beams):
             ux, uy = direction[n, b, 0], direction[n, b, 1]
             k, far = 0, min(reach[b], length[n, b])
-            while k < seen[b] and F(k) * half < far:
+            while k < seen[b] and step[k] < far:
                 cell = along[b, k]
                 if stamp[cell] < mark:
                     stamp[cell] = mark + 1
@@ -108,7 +109,7 @@ def scan(
                     counted = _add(known, cell, model[1], model, cells, counted)
                 k += 1
         counted = _fade(known, stamp, mark, model, cells, counted)
-        _renew(evidence[n], esdf[n], cells[:counted], model, resolution, truncation)
+        _renew(evidence[n], esdf[n], cells[:counted], model, table, resolution, truncation)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -123,6 +124,7 @@ def reveal(
     cells = np.empty(height * width, np.int32)
     farthest = F((radius / resolution) ** 2)
     reach = int(radius / resolution) + 2
+    table = _distances(truncation, resolution)
     stamp, mark = np.zeros(height * width, np.int32), 0
     moves = movers.shape[1] > 0
     moving = np.zeros(height * width if moves else 0, np.int32)
@@ -152,7 +154,21 @@ def reveal(
                     cells[counted] = cell
                     counted += 1
         counted = _fade(known.ravel(), stamp, mark, model, cells, counted)
-        _renew(known, esdf[n], cells[:counted], model, resolution, truncation)
+        _renew(known, esdf[n], cells[:counted], model, table, resolution, truncation)
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _cells(along, ahead, start, direction, extent, per_m, shape):
+    """Writes the cells so far ahead [m] along a beam; -1 off the map."""
+    (x0, y0), (ux, uy), (wide, high) = start, direction, extent
+    width, height = np.int32(shape[0]), np.int32(shape[1])
+    for k in range(ahead.size):
+        x, y = x0 + ux * ahead[k], y0 + uy * ahead[k]
+        column = min(np.int32(x * per_m), width - np.int32(1))
+        row = min(np.int32(y * per_m), height - np.int32(1))
+        inside = x >= F(0) and y >= F(0) and x < wide and y < high
+        along[k] = row * width + column if inside else np.int32(-1)
 
 
 @njit(error_model="numpy")
@@ -214,30 +230,46 @@ def _add(known, cell, added, model, cells, counted):
 
 @njit(error_model="numpy")
 @no_type_check
-def _renew(known, esdf, cells, model, resolution, truncation):
+def _distances(truncation, resolution):
+    """Distance [m] of two cells by the rows and columns between them, as far as the field tells."""
+    reach = int(truncation / resolution) + 1
+    table = np.empty((2 * reach + 1, 2 * reach + 1), F)
+    for y in range(-reach, reach + 1):
+        for x in range(-reach, reach + 1):
+            table[reach + y, reach + x] = np.sqrt(F(y * y + x * x)) * F(resolution)
+    return table
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _renew(known, esdf, cells, model, table, resolution, truncation):
     """Renews the distance field where the given cells, which changed, can matter."""
     if cells.size == 0:
         return
-    occupied, reach = model[4], int(truncation / resolution) + 1
-    sizes = reach, F(resolution), F(truncation)
+    occupied, reach, width = model[4], table.shape[0] // 2, known.shape[1]
     taken = 0
     for cell in cells:
         taken += known.ravel()[cell] >= occupied
     freed = cells.size - taken
     if taken > FEW or freed > FEW_FREED:
         window = _around(cells, known.shape, reach)
-        square_window(known, occupied, esdf, window, *sizes)
+        square_window(known, occupied, esdf, window, reach, F(resolution), F(truncation))
         return
-    width = known.shape[1]
     for cell in cells:
         row, column = cell // width, cell % width
         if known[row, column] >= occupied:
-            _paint(esdf, row, column, reach, F(resolution))
+            _paint(esdf, row, column, table)
+    if freed == 0:
+        return
+    lost = np.empty(freed, np.int32)
+    freed = 0
     for cell in cells:
-        row, column = cell // width, cell % width
-        if known[row, column] < occupied:
-            window = _nearest_to(esdf, row, column, sizes)
-            square_window(known, occupied, esdf, window, *sizes)
+        if known.ravel()[cell] < occupied:
+            lost[freed] = cell
+            freed += 1
+    obstacles = _occupied(known, occupied, _around(lost, known.shape, 2 * reach))
+    for cell in lost:
+        _erase(esdf, cell // width, cell % width, table, obstacles, F(resolution), F(truncation))
 
 
 @njit(error_model="numpy")
@@ -260,28 +292,54 @@ def _around(cells, shape, reach):
 
 @njit(error_model="numpy")
 @no_type_check
-def _nearest_to(esdf, row, column, sizes):
-    """The window of the cells whose distance is that to a given cell: all that its loss changes."""
-    reach, resolution, truncation = sizes
-    height, width = esdf.shape
-    top, bottom, left, right = row, row + 1, column, column + 1
-    for y in range(max(0, row - reach), min(height, row + reach + 1)):
-        rise = F((y - row) * (y - row))
-        for x in range(max(0, column - reach), min(width, column + reach + 1)):
-            distance = np.sqrt(rise + F((x - column) * (x - column))) * resolution
-            if esdf[y, x] == distance and distance < truncation:
-                top, bottom = min(top, y), max(bottom, y + 1)
-                left, right = min(left, x), max(right, x + 1)
-    return top, bottom, left, right
+def _occupied(known, occupied, window):
+    """Rows and columns of the occupied cells in a window."""
+    top, bottom, left, right = window
+    rows = np.empty((bottom - top) * (right - left) + 1, F)
+    columns = np.empty(rows.size, F)
+    found = 0
+    for row in range(top, bottom):
+        for column in range(left, right):
+            rows[found], columns[found] = F(row), F(column)
+            found += known[row, column] >= occupied
+    return rows[:found], columns[:found]
 
 
 @njit(error_model="numpy")
 @no_type_check
-def _paint(esdf, row, column, reach, resolution):
-    """Lowers the distances around a new obstacle cell."""
+def _erase(esdf, row, column, table, obstacles, resolution, truncation):
+    """Renews the distances that may have been to an obstacle cell that is lost."""
+    rows, columns = obstacles
+    reach = table.shape[0] // 2
     height, width = esdf.shape
     for y in range(max(0, row - reach), min(height, row + reach + 1)):
-        rise = F((y - row) * (y - row))
         for x in range(max(0, column - reach), min(width, column + reach + 1)):
-            distance = np.sqrt(rise + F((x - column) * (x - column))) * resolution
-            esdf[y, x] = min(esdf[y, x], distance)
+            distance = table[y - row + reach, x - column + reach]
+            if esdf[y, x] == distance and distance < truncation:
+                square = _least_square(rows, columns, F(y), F(x))
+                esdf[y, x] = min(np.sqrt(square) * resolution, truncation)
+
+
+@njit(error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})
+@no_type_check
+def _least_square(rows, columns, y, x):
+    """Squared cells to the nearest of some cells; infinity without any."""
+    least = F(np.inf)
+    for k in range(rows.size):
+        least = min(least, (rows[k] - y) * (rows[k] - y) + (columns[k] - x) * (columns[k] - x))
+    return least
+
+
+@njit(error_model="numpy", fastmath={"nnan", "nsz"})
+@no_type_check
+def _paint(esdf, row, column, table):
+    """Lowers the distances around a new obstacle cell."""
+    reach = table.shape[0] // 2
+    height, width = esdf.shape
+    left, right = max(0, column - reach), min(width, column + reach + 1)
+    # Unsigned, so that no index counts from the end and the loop becomes vector instructions.
+    count, left, first = np.uint64(right - left), np.uint64(left), np.uint64(left + reach - column)
+    for y in range(max(0, row - reach), min(height, row + reach + 1)):
+        distances, others = esdf[y], table[y - row + reach]
+        for k in range(count):
+            distances[left + k] = min(distances[left + k], others[first + k])
