@@ -17,6 +17,7 @@ from resc import ranks
 from resc.errors import ConfigError, NumericalError
 from resc.kept_program import compiled
 from resc.learning.algorithm import Algorithm, LearningContext
+from resc.learning.flat_adam import FlatAdam
 from resc.learning.ppo_losses import Figures, Moments, draw_action, losses
 from resc.learning.ppo_networks import PpoNetworks, taken
 from resc.math.sampling import generator_for
@@ -85,21 +86,21 @@ class Ppo(Algorithm):
         self.learning_rate, self.final_learning_rate = learning_rate, final_learning_rate
         self.gamma, self.gae_lambda, self.clip_epsilon = gamma, gae_lambda, clip_epsilon
         self.entropy_coefficient, self.value_coefficient = entropy_coefficient, value_coefficient
-        self.max_grad_norm, self.reward_scale = max_grad_norm, reward_scale
+        self.reward_scale = reward_scale
         self.target_kl, self.schedule = target_kl, schedule
         self.init_from_std = init_from_std
         self._check()
         self.minibatch = ranks.share(minibatch, "minibatch")
         self.networks = self._make_networks(initial_std).to(context.device)
         self._weights = [p for p in self.parameters if p.requires_grad]
-        self.optimizer = torch.optim.Adam(self._weights, lr=learning_rate, eps=1e-5, fused=True)
+        self.optimizer = FlatAdam(self._weights, max_grad_norm, epsilon=1e-5)
         seed = ranks.own_seed(context.seed)
         self.noise = generator_for(seed, "exploration", context.device)
         self.order = generator_for(seed, "minibatches", context.device)
         self._own = PpoNetworks(self.networks, self._weights, context, self._weighting)
         self._losses = self._losses_of_sequences if self.remembers else self._own.losses
         self._act: Callable[..., Figures] = self._own.act
-        self._gradients: Callable[..., tuple[tuple[Tensor, ...], Tensor]] = self._own.gradients
+        self._gradients: Callable[..., tuple[Tensor, Tensor]] = self._own.gradients
         if self.remembers:
             self._gradients = self._gradients_of_sequences
         elif context.compile:
@@ -144,8 +145,6 @@ class Ppo(Algorithm):
     def update(self, batch: TensorDict) -> dict[str, float]:
         """`epochs` passes of clipped policy and value gradient steps over the batch."""
         rate = self._learning_rate()
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
         with torch.no_grad():
             batch = batch.copy().update(self.estimate_advantages(batch))
             samples = self._sequences(batch) if self.remembers else self._samples(batch)
@@ -157,7 +156,7 @@ class Ppo(Algorithm):
             chosen = samples[order[:whole]]
             moments = self._shared_moments(chosen, size)
             for minibatch, shared in zip(chosen.split(size), moments, strict=True):
-                sums += self._gradient_step(minibatch, shared)
+                sums += self._gradient_step(minibatch, shared, rate)
                 count += 1
             if self.target_kl and float(sums[3] / count) > self.target_kl:
                 break
@@ -256,19 +255,17 @@ class Ppo(Algorithm):
         std = (squares / (rows.shape[1] * ranks.count() - 1)).sqrt()
         return list(zip(mean.to(rows.dtype), std.to(rows.dtype), strict=True))
 
-    def _gradient_step(self, minibatch: Tensor | TensorDict, shared: Moments | None) -> Tensor:
-        gradients, told = self._gradients(minibatch, shared)
-        ranks.average_([*gradients, told])
-        for weight, gradient in zip(self._weights, gradients, strict=True):
-            weight.grad = gradient
-        nn.utils.clip_grad_norm_(self._weights, self.max_grad_norm, foreach=True)
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
+    def _gradient_step(
+        self, minibatch: Tensor | TensorDict, shared: Moments | None, rate: float
+    ) -> Tensor:
+        gradient, told = self._gradients(minibatch, shared)
+        ranks.average_([gradient, told])
+        self.optimizer.step(gradient, rate)
         return told
 
     def _gradients_of_sequences(
         self, minibatch: TensorDict, shared: Moments | None
-    ) -> tuple[tuple[Tensor, ...], Tensor]:
+    ) -> tuple[Tensor, Tensor]:
         return taken(self._losses_of_sequences(minibatch, shared), self._weights)
 
     def _losses_of_sequences(self, sequences: TensorDict, shared: Moments | None = None) -> Figures:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from resc.learning.algorithm import LearningContext
+from resc.learning.flat_adam import side_by_side
 from resc.learning.ppo_losses import Figures, Moments, draw_action, losses
 from resc.policies.policy import Policy
 
@@ -57,18 +58,16 @@ class PpoNetworks:
         given = (mean, std, value, action, before, advantage, target)
         return losses(*given, shared=shared, **self.weighting)
 
-    def gradients(
-        self, samples: Tensor, shared: Moments | None
-    ) -> tuple[tuple[Tensor, ...], Tensor]:
-        """Gradients of the loss of samples, one for each of the weights, and its figures [5]."""
+    def gradients(self, samples: Tensor, shared: Moments | None) -> tuple[Tensor, Tensor]:
+        """The gradient of the loss of samples, as `taken` gives it, and the loss's figures [5]."""
         return taken(self.losses(samples, shared), self.weights)
 
 
-def taken(figures: Figures, weights: list[nn.Parameter]) -> tuple[tuple[Tensor, ...], Tensor]:
-    """Gradients of the first of the figures, one for each of the weights, and the others [5].
+def taken(figures: Figures, weights: list[nn.Parameter]) -> tuple[Tensor, Tensor]:
+    """The gradient of the first of the figures, by all weights side by side, and the others [5].
 
     A weight that the loss does not depend on, in a network of one's own, has one of zeros.
     """
     loss, *told = figures
     gradients = torch.autograd.grad(loss, weights, materialize_grads=True)
-    return gradients, torch.stack(told).detach()
+    return side_by_side(gradients), torch.stack(told).detach()

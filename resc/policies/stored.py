@@ -113,7 +113,7 @@ def save_policy(folder: Path, networks: nn.ModuleDict, stages: Stages, made_with
     folder.mkdir(parents=True, exist_ok=True)
     head = type(cast(Policy, networks["policy"]).head)
     content = {
-        "networks": {name: value.cpu() for name, value in networks.state_dict().items()},
+        "networks": {name: value.cpu().clone() for name, value in networks.state_dict().items()},
         "head": f"{head.__module__}.{head.__qualname__}",
         "layout": [list(block) for block in layout_of(stages)],
         "action_width": stages.terms.action.width,
