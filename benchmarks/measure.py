@@ -101,24 +101,23 @@ class Job:
             env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            text=True,
+            bufsize=0,  # so that `select` sees every line that was not read
         )
 
     def start_block(self, kind: str) -> None:
         """Tells the job what to measure; returns at once."""
-        self.process.stdin.write(f"{kind}\n")
-        self.process.stdin.flush()
+        self.process.stdin.write(f"{kind}\n".encode())
 
     def rate(self) -> float:
-        """The steps per second of the block started last."""
+        """The steps per second of the block started last; what else a job says is passed over."""
         told, _, _ = select.select([self.process.stdout], [], [], ANSWER_S)
         if not told:
             self.process.kill()
             raise SystemExit(f"A job has not answered for {ANSWER_S} s; is the machine overloaded?")
-        line = self.process.stdout.readline()
+        line = self.process.stdout.readline().decode()
         if not line.endswith("\n"):
             raise SystemExit("A job ended early; its message is above.")
-        return float(line)
+        return float(line) if line[0].isdigit() else self.rate()
 
     def close(self) -> None:
         """Ends the process, which does so at the end of its input unless it hangs."""

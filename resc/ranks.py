@@ -9,6 +9,8 @@ import hashlib
 import io
 import json
 import os
+import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -24,6 +26,7 @@ from torch.distributed.rendezvous import rendezvous
 
 from resc.cuda_graph import copy_each
 from resc.errors import ConfigError, LostRankError
+from resc.shared_means import PLACE, SharedMeans
 
 PATIENCE = timedelta(minutes=10)
 """How long a rank waits for the others: one may still compile, or lay out its scenes."""
@@ -48,6 +51,7 @@ def leave() -> None:
         with suppress(RuntimeError):  # they have left already
             dist.destroy_process_group()
         _group.cache_clear()
+        _shared_means.cache_clear()
 
 
 def count() -> int:
@@ -203,9 +207,14 @@ def average_(tensors: Sequence[Shaped[Tensor, "..."]]) -> None:
     if count() == 1:
         return
     flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
+    shared = None if flat.is_cuda else _shared_means(len(flat))
     with _together():
-        dist.all_reduce(flat, group=_group(flat.is_cuda))
-    parts = flat.div_(count()).split([tensor.numel() for tensor in tensors])
+        if shared:
+            shared.take_(flat)
+        else:
+            dist.all_reduce(flat, group=_group(flat.is_cuda))
+            flat.div_(count())
+    parts = flat.split([tensor.numel() for tensor in tensors])
     views = [part.view_as(tensor) for tensor, part in zip(tensors, parts, strict=True)]
     copy_each(views, tensors)
 
@@ -256,6 +265,21 @@ def _group(on_gpu: bool) -> dist.ProcessGroup | None:
     if not on_gpu:
         return None
     return cast(dist.ProcessGroup, dist.new_group(backend="nccl", timeout=PATIENCE))
+
+
+@functools.cache
+def _shared_means(length: int) -> SharedMeans | None:
+    """Memory for vectors of this length, where all ranks are on this machine and have some."""
+    if int(os.environ.get("LOCAL_WORLD_SIZE", "0")) != count():
+        return None
+    place = str(PLACE) if PLACE.is_dir() else None
+    folder = Path(from_first(lambda: tempfile.mkdtemp(prefix="resc-", dir=place)))
+    made = None
+    with suppress(OSError):
+        made = SharedMeans(rank(), count(), length, folder, wait, PATIENCE.total_seconds())
+    if is_first():
+        shutil.rmtree(folder, ignore_errors=True)
+    return None if any_of(made is None) else made
 
 
 @contextmanager
