@@ -62,7 +62,7 @@ def _transform(
                 added = F(k * k)
                 if added >= most:
                     break
-                _lower(best, row[reach - k :], row[reach + k :], added)
+                _lower(best, row, np.uint64(reach - k), np.uint64(reach + k), added)
                 if k % 4 == 0:
                     most = _greatest(best)
             for x in range(width):
@@ -88,12 +88,17 @@ def _along_columns(occupied: Bool[np.ndarray, "h w"], gap: Float32[np.ndarray, "
 @no_type_check
 def _lower(
     best: Float32[np.ndarray, " w"],
-    left: Float32[np.ndarray, " longer"],
-    right: Float32[np.ndarray, " longer"],
+    row: Float32[np.ndarray, " longer"],
+    left: int,
+    right: int,
     added: float,
 ) -> None:
-    for x in range(best.size):
-        best[x] = min(best[x], min(left[x], right[x]) + added)
+    """Lowers each number to the lesser of two of the row, and what is added.
+
+    Places are unsigned, so that none counts from the end and the loop becomes vector instructions.
+    """
+    for x in range(np.uint64(best.size)):
+        best[x] = min(best[x], min(row[x + left], row[x + right]) + added)
 
 
 @njit(error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})
@@ -140,7 +145,7 @@ def square_window(
             added = F(k * k)
             if added >= most:
                 break
-            _lower(best, row[reach - k :], row[reach + k :], added)
+            _lower(best, row, np.uint64(reach - k), np.uint64(reach + k), added)
             if k % 4 == 0:
                 most = _greatest(best)
         for x in range(left, right):
