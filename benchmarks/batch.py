@@ -1,7 +1,7 @@
-"""Where the time of a batch of PPO goes: CPU time of each of its parts, arithmetic beside it.
+"""Where the time of a batch of PPO goes, arithmetic beside it, and what memory it holds.
 
     python benchmarks/batch.py                                    the default training, one thread
-    python benchmarks/batch.py algorithm.epochs=3                 with overrides of train.py
+    python benchmarks/batch.py sensing=depth                      with overrides of train.py
     python benchmarks/batch.py --json before.json                 the figures as one flat object
     python benchmarks/batch.py --before before.json --picture profile.png    two commits, drawn
 
@@ -126,6 +126,17 @@ def limit(algorithm: Ppo) -> float:
     return max(rates)
 
 
+def memory(trainer: Trainer) -> dict[str, float]:
+    """Bytes of the tensors that a training holds, by what they belong to."""
+    env = trainer.env
+    scenes = [*env.pool.shared.values(), *env.pool.tasks.values()]
+    return {
+        "an environment": sum(value.nbytes for value in env.tensors.values()) / env.num_envs,
+        "a scene of the pool": sum(value.nbytes for value in scenes) / len(env.pool),
+        "a batch": trainer.collector.batch.bytes(),
+    }
+
+
 def table(
     found: dict[str, float], before: dict[str, float], operations: dict[str, float], peak: float
 ) -> str:
@@ -186,9 +197,11 @@ def main() -> None:
     print(sentence(machine("cpu", 1)))
     print(table(found, before, arithmetic(trainer.algorithm), peak))
     print(f"{1e6 / sum(found.values()):,.0f} frames per CPU second; limit {peak / 1e9:.0f} GFLOP/s")
+    held = memory(trainer)
+    print("; ".join(f"{bytes_ / 1e3:,.1f} kB {what}" for what, bytes_ in held.items()))
     if args.picture:
         draw(found, before, args.picture)
-    write_json(args.json, {**machine("cpu", 1), "parts": found})
+    write_json(args.json, {**machine("cpu", 1), "parts": found, "memory": held})
 
 
 if __name__ == "__main__":
