@@ -207,7 +207,8 @@ def average_(tensors: Sequence[Shaped[Tensor, "..."]]) -> None:
     if count() == 1:
         return
     flat = torch.cat([tensor.reshape(-1) for tensor in tensors])
-    shared = None if flat.is_cuda else _shared_means(len(flat))
+    fits = flat.is_cpu and flat.dtype is torch.float32
+    shared = _shared_means(len(flat)) if fits else None
     with _together():
         if shared:
             shared.take_(flat)

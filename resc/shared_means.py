@@ -47,27 +47,24 @@ class SharedMeans:
         patience_s: float,
     ) -> None:
         self.rank, self.turn, self.peers = rank, 0, list[socket.socket]()
-        failure = None
+        failure, path, size = None, folder / "numbers", 2 * count * length
         listening = socket.socket(socket.AF_UNIX)
         try:
             listening.bind(str(folder / str(rank)))
             listening.listen(count)
+            with path.open("ab") as file:
+                os.posix_fallocate(file.fileno(), 0, 4 * size)
+            shared = torch.from_file(str(path), shared=True, size=size, dtype=torch.float32)
+            self.halves = shared.view(2, count, length)
         except OSError as error:
             failure = error
         meet()
-        try:
-            size = 2 * count * length
-            with (folder / "numbers").open("ab") as file:
-                os.posix_fallocate(file.fileno(), 0, 4 * size)
-            shared = torch.from_file(
-                str(folder / "numbers"), shared=True, size=size, dtype=torch.float32
-            )
-            self.halves = shared.view(2, count, length)
+        try:  # even without room, for others wait
             for other in range(rank):
                 self.peers.append(socket.socket(socket.AF_UNIX))
                 self.peers[-1].connect(str(folder / str(other)))
+            listening.settimeout(patience_s)
             for _ in range(rank + 1, count):
-                listening.settimeout(patience_s)
                 self.peers.append(listening.accept()[0])
             for peer in self.peers:
                 peer.settimeout(patience_s)

@@ -4,6 +4,7 @@ import os
 import tempfile
 from pathlib import Path
 
+import pytest
 import torch
 from ranked import together
 
@@ -39,17 +40,31 @@ def one_ends():
         return str(error)
 
 
-def without_room():
-    """Means where no memory can be had: by messages."""
+def without_room(whose):
+    """Means where some find no memory: by messages."""
 
     def full(*_):
         raise OSError("No space left on device")
 
-    os.posix_fallocate = full  # in a process of its own
+    if ranks.rank() in whose:
+        os.posix_fallocate = full  # in a process of its own
     vector = of_rank(ranks.rank(), 0)
     ranks.average_([vector])
     assert ranks._shared_means(LENGTH) is None
     return vector
+
+
+def of_doubles():
+    """Means of numbers that the memory cannot hold exactly: by messages."""
+    vector = of_rank(ranks.rank(), 0).double() / 3
+    ranks.average_([vector])
+    return vector
+
+
+def test_doubles_keep_their_precision():
+    expected = (of_rank(0, 0).double() / 3 + of_rank(1, 0).double() / 3) / 2
+    for found in together(of_doubles):
+        torch.testing.assert_close(found, expected, rtol=1e-14, atol=1e-15)
 
 
 def test_three_processes_find_the_same_means_and_leave_no_file():
@@ -68,8 +83,9 @@ def test_a_process_that_ends_is_noticed():
     assert "has ended" in together(one_ends)[0]
 
 
-def test_without_room_messages_carry_the_means():
-    found = together(without_room)
+@pytest.mark.parametrize("whose", [(0, 1), (0,), (1,)])
+def test_without_room_messages_carry_the_means(whose):
+    found = together(without_room, whose)
     torch.testing.assert_close(found[0], (of_rank(0, 0) + of_rank(1, 0)) / 2)
     assert torch.equal(*found)
 
