@@ -14,8 +14,8 @@ from resc.maps.distance_transform import square_window
 F = np.float32
 UNKNOWN = -128
 FEW, FEW_FREED = 192, 12
-"""So many new obstacle cells are painted one by one, and so many lost ones erased; from there on the
-transform of the window around them costs less."""
+"""So many new obstacle cells are painted one by one, and so many lost ones erased; from there on
+the transform of the window around them costs less."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
