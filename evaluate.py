@@ -24,7 +24,6 @@ from resc.console import logged
 from resc.evaluation.campaign import Evaluation
 from resc.evaluation.suites import scenes_to_fly
 from resc.flying.pilot import build_pilots
-from resc.flying.replay import replay
 from resc.pages.write import leave_page
 from resc.policies.stored import load_policy, policy_folder
 from resc.process import prepare_process
@@ -49,6 +48,8 @@ def main(config: DictConfig) -> None:
         OmegaConf.resolve(config)
         prepare_process(config["threads"], config["device"])
         if config["replay"]:
+            from resc.flying.replay import replay  # reads recordings, which takes long to import
+
             refuse_beside(overrides, REPLAYED, "replay")
             print(replay(config["replay"], folder, allowed=allowed))
             return

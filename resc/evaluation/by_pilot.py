@@ -8,11 +8,8 @@ import numpy as np
 
 from resc.errors import RecordingError
 from resc.evaluation.courses import Course
-from resc.evaluation.panel import Flown
-from resc.evaluation.picture import draw_overview, draw_scene
 from resc.evaluation.planning_calls import Calls, failing, write_calls
 from resc.evaluation.references import Reference, References, crossings, digest
-from resc.evaluation.scene_files import write_scene_files
 from resc.evaluation.setting import Rules
 from resc.evaluation.statistics import SceneReport, asked, join, report_scenes, tabulate
 from resc.evaluation.table import failures, markdown, write_flights, write_scenes
@@ -175,6 +172,9 @@ def _draw(
     folder: Path,
 ) -> None:
     """A picture of every scene, and one of all."""
+    from resc.evaluation.panel import Flown  # matplotlib, once all is flown
+    from resc.evaluation.picture import draw_overview, draw_scene
+
     pictured = []
     for course, report in zip(contest.courses, reports, strict=False):
         resolution = contest.rules_of(course).stages.context.resolution_m
@@ -187,6 +187,8 @@ def _draw(
 
 def _write_scene_files(contest: Contest, folder: Path) -> str:
     """Writes the 3-D scenes; returns what to say of them, nothing if there are none."""
+    from resc.evaluation.scene_files import write_scene_files  # likewise
+
     try:
         written = write_scene_files(
             _flown_together(contest.courses, folder),

@@ -30,7 +30,6 @@ from resc.evaluation.references import files_of, limits_of, read_references
 from resc.evaluation.setting import Rules
 from resc.evaluation.suites import amounts_of
 from resc.evaluation.table import summary
-from resc.evaluation.together import write_together
 from resc.flying.pilot import Pilot, PolicyPilot
 from resc.planning.route import planner_for
 from resc.planning.time_optimal import Limits
@@ -93,8 +92,11 @@ class Evaluation:
             **provenance(),
         }
         finish_run(folder, figures, "evaluation")
-        several = len(results) > 1
-        told = write_together(results, contest.limits, folder) if several else results[0].text
+        told = results[0].text
+        if len(results) > 1:
+            from resc.evaluation.together import write_together  # matplotlib, once all is flown
+
+            told = write_together(results, contest.limits, folder)
         return f"{told}\n{_left_in(folder, results)}"
 
     @cached_property

@@ -4,7 +4,7 @@ from typing import no_type_check
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int8
+from jaxtyping import Bool, Float, Float32, Int, Int8
 from numba import njit
 from torch import Tensor
 
@@ -13,6 +13,8 @@ from resc.maps.cpu_kernels import share_out
 F = np.float32
 LEAST = 4
 """So many maps are worth a second thread."""
+SHORT = 127
+"""Up to so many cells, the sum of two squares is a number of 16 bits."""
 
 
 def distance_transform(
@@ -20,18 +22,19 @@ def distance_transform(
 ) -> Float[Tensor, "p h w"]:
     """Distance [m] from each cell centre to the nearest occupied one, at most `truncation_m`.
 
-    Separable and exact: squared integer distances along the columns, then over the rows
+    Separable and exact: squared distances in whole cells along the columns, then over the rows
     min over k of (g(x + k)^2 + k^2), until k^2 alone is more than is found. Truncation bounds |k|,
-    so its cost is at most P H W min(W, truncation). An empty map holds the truncation, or infinity
+    so its cost is at most P H W min(W, truncation), and lets 16 bits hold a square, of which a
+    vector instruction takes twice as many. An empty map holds the truncation, or infinity
     without one. The root is numba's, which is rounded as IEEE 754 says: the last bit of torch's
     depends on the processor.
     """
-    width = occupied.shape[2]
-    reach = width if truncation_m is None else min(width, int(truncation_m / resolution_m) + 1)
+    _, height, width = occupied.shape
+    far = height + width if truncation_m is None else int(truncation_m / resolution_m) + 1
     given = np.ascontiguousarray(occupied.cpu().numpy())
     distance = np.empty(given.shape, F)
     most = F(np.inf if truncation_m is None else truncation_m)
-    sizes = (reach, F(resolution_m), most)
+    sizes = (far, F(resolution_m), most)
     share_out(_transform, len(given), torch.get_num_threads(), given, distance, sizes, least=LEAST)
     return torch.from_numpy(distance).to(occupied.device)
 
@@ -45,69 +48,14 @@ def _transform(
     result: Float32[np.ndarray, "p h w"],
     sizes: tuple[int, float, float],
 ) -> None:
-    """Writes distances [m]; `sizes` are the reach in cells, a cell's edge and the truncation."""
+    """Writes distances [m]; `sizes` are what is far in cells, a cell's edge and the truncation."""
     _, height, width = occupied.shape
-    reach, resolution, truncation = sizes
-    row = np.full(width + 2 * reach, F(np.inf), F)  # nothing beyond the map
+    whole = (0, height, 0, width)
     for n in range(first, last):
-        _along_columns(occupied[n], result[n])
-        for y in range(height):
-            best = result[n, y]
-            most = F(0.0)
-            for x in range(width):
-                best[x] = best[x] * best[x]
-                row[reach + x] = best[x]
-                most = max(most, best[x])
-            for k in range(1, reach):
-                added = F(k * k)
-                if added >= most:
-                    break
-                _lower(best, row, np.uint64(reach - k), np.uint64(reach + k), added)
-                if k % 4 == 0:
-                    most = _greatest(best)
-            for x in range(width):
-                best[x] = min(np.sqrt(best[x]) * resolution, truncation)
-
-
-@njit(error_model="numpy")
-@no_type_check
-def _along_columns(occupied: Bool[np.ndarray, "h w"], gap: Float32[np.ndarray, "h w"]) -> None:
-    """Cells to the nearest occupied cell of the same column; infinity in an empty column."""
-    height, width = occupied.shape
-    for x in range(width):
-        gap[0, x] = F(0.0) if occupied[0, x] else F(np.inf)
-    for y in range(1, height):
-        for x in range(width):
-            gap[y, x] = F(0.0) if occupied[y, x] else gap[y - 1, x] + F(1.0)
-    for y in range(height - 2, -1, -1):
-        for x in range(width):
-            gap[y, x] = min(gap[y, x], gap[y + 1, x] + F(1.0))
-
-
-@njit(error_model="numpy", fastmath={"nnan", "nsz"})
-@no_type_check
-def _lower(
-    best: Float32[np.ndarray, " w"],
-    row: Float32[np.ndarray, " longer"],
-    left: int,
-    right: int,
-    added: float,
-) -> None:
-    """Lowers each number to the lesser of two of the row, and what is added.
-
-    Places are unsigned, so that none counts from the end and the loop becomes vector instructions.
-    """
-    for x in range(np.uint64(best.size)):
-        best[x] = min(best[x], min(row[x + left], row[x + right]) + added)
-
-
-@njit(error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})
-@no_type_check
-def _greatest(row: Float32[np.ndarray, " w"]) -> float:
-    most = F(0.0)
-    for x in range(row.size):
-        most = max(most, row[x])
-    return most
+        if sizes[0] <= SHORT:
+            _square(occupied[n], result[n], whole, (0, 0), sizes, np.empty(0, np.int16))
+        else:
+            _square(occupied[n], result[n], whole, (0, 0), sizes, np.empty(0, np.int32))
 
 
 @njit(error_model="numpy")
@@ -130,23 +78,115 @@ def square_window(
     above, below = max(0, top - reach), min(height, bottom + reach)
     before, after = max(0, left - reach), min(width, right + reach)
     there = known[above:below, before:after] >= occupied
-    gap = np.empty(there.shape, F)
-    _along_columns(there, gap)
-    wide = after - before
-    row = np.full(wide + 2 * reach, F(np.inf), F)
-    best = np.empty(wide, F)
+    sizes = (reach, resolution, truncation)
+    if reach <= SHORT:
+        _square(there, esdf, window, (above, before), sizes, np.empty(0, np.int16))
+    else:
+        _square(there, esdf, window, (above, before), sizes, np.empty(0, np.int32))
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _square(
+    occupied: Bool[np.ndarray, "part wide"],
+    result: Float32[np.ndarray, "h w"],
+    window: tuple[int, int, int, int],
+    corner: tuple[int, int],
+    sizes: tuple[int, float, float],
+    kind: Int[np.ndarray, " 0"],
+) -> None:
+    """Writes distances [m] in a window of a map of which a part is given, from its `corner` on.
+
+    `sizes` as of `_transform`; squares are whole numbers of the type of `kind`.
+    """
+    top, bottom, left, right = window
+    above, before = corner
+    far, resolution, truncation = sizes
+    wide = occupied.shape[1]
+    reach, farthest = min(wide, far), far * far
+    gap = np.empty(occupied.shape, kind.dtype)
+    along_columns(occupied, gap, far)
+    row = np.full(wide + 2 * reach, farthest, kind.dtype)  # nothing beyond the map
+    best = np.empty(wide, kind.dtype)
     for y in range(top, bottom):
-        most = F(0.0)
         for x in range(wide):
             best[x] = gap[y - above, x] * gap[y - above, x]
             row[reach + x] = best[x]
-            most = max(most, best[x])
-        for k in range(1, reach):
-            added = F(k * k)
-            if added >= most:
+        most = _greatest(best)
+        for k in range(1, reach, 2):  # two at a time; the second may be one too many
+            if k * k >= most:
                 break
-            _lower(best, row, np.uint64(reach - k), np.uint64(reach + k), added)
-            if k % 4 == 0:
+            _lower(best, row, reach, k)
+            if k % 4 == 3:
                 most = _greatest(best)
+        out = result[y]
         for x in range(left, right):
-            esdf[y, x] = min(np.sqrt(best[x - before]) * resolution, truncation)
+            found = F(best[x - before])
+            there = min(np.sqrt(found) * resolution, truncation)
+            out[x] = there if found < farthest else truncation
+
+
+@njit(error_model="numpy")
+@no_type_check
+def along_columns(occupied: Bool[np.ndarray, "h w"], gap: Int[np.ndarray, "h w"], far: int) -> None:
+    """Cells to the nearest occupied cell of the same column, or `far` if that is less."""
+    height, width = occupied.shape
+    for x in range(width):
+        gap[0, x] = 0 if occupied[0, x] else far
+    for y in range(1, height):
+        _count_on(occupied[y], gap[y - 1], gap[y], far)
+    for y in range(height - 2, -1, -1):
+        _count_back(gap[y + 1], gap[y])
+
+
+# Rows of their own, so that the compiler sees that they are apart.
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _count_on(
+    occupied: Bool[np.ndarray, " w"],
+    before: Int[np.ndarray, " w"],
+    gap: Int[np.ndarray, " w"],
+    far: int,
+) -> None:
+    kind = gap.dtype.type
+    most = kind(far)
+    for x in range(gap.size):
+        more = min(most, kind(before[x] + kind(1)))
+        gap[x] = kind(0) if occupied[x] else more
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _count_back(before: Int[np.ndarray, " w"], gap: Int[np.ndarray, " w"]) -> None:
+    kind = gap.dtype.type
+    for x in range(gap.size):
+        gap[x] = min(gap[x], kind(before[x] + kind(1)))
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _lower(
+    best: Int[np.ndarray, " w"], row: Int[np.ndarray, " longer"], reach: int, k: int
+) -> None:
+    """Lowers each number to the least of the row's k and k + 1 places away, and what they add.
+
+    Places are unsigned, so that none counts from the end and the loop becomes vector instructions.
+    """
+    kind = best.dtype.type
+    near, next_ = kind(k * k), kind((k + 1) * (k + 1))
+    left, right = np.uint64(reach - k), np.uint64(reach + k)
+    for x in range(np.uint64(best.size)):
+        one = kind(min(row[x + left], row[x + right]) + near)
+        other = kind(min(row[x + left - np.uint64(1)], row[x + right + np.uint64(1)]) + next_)
+        best[x] = min(best[x], min(one, other))
+
+
+@njit(error_model="numpy")
+@no_type_check
+def _greatest(row: Int[np.ndarray, " w"]) -> int:
+    most = row.dtype.type(0)
+    for x in range(row.size):
+        most = max(most, row[x])
+    return most

@@ -10,8 +10,10 @@ from math import ceil, floor, sqrt
 from typing import TypeAlias, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Int16, UInt8
 from numba import njit
+
+from resc.maps.distance_transform import along_columns
 
 Grid: TypeAlias = Bool[np.ndarray, "h w"]
 
@@ -57,46 +59,68 @@ def segment_is_free(blocked: Grid, a: tuple[float, float], b: tuple[float, float
 def _inflate(occupancy: Grid, radius_squared: int) -> Grid:
     height, width = occupancy.shape
     reach = int(sqrt(radius_squared + 0.5))
-    far = height + width + reach + 1
-    gap = np.empty((height, width), np.int32)  # to the nearest occupied cell of the same row
+    gap = np.empty((height, width), np.int16)  # to the nearest occupied cell of the same column
+    along_columns(occupancy, gap, reach + 1)
+    blocked = np.zeros((height, width), np.uint8)
+    half_heights = np.empty(2 * reach + 1, np.int16)
+    for n in range(2 * reach + 1):
+        half_heights[n] = int(sqrt(radius_squared - (n - reach) ** 2 + 0.5))
     for y in range(height):
-        last = far
-        for x in range(width):
-            last = 0 if occupancy[y, x] else last + 1
-            gap[y, x] = last
-        last = far
-        for x in range(width - 1, -1, -1):
-            last = 0 if occupancy[y, x] else last + 1
-            gap[y, x] = min(gap[y, x], last)
-    blocked = np.zeros((height, width), np.bool_)
-    for dy in range(-reach, reach + 1):
-        half_width = int(sqrt(radius_squared - dy * dy + 0.5))
-        for y in range(max(0, -dy), min(height, height - dy)):
-            for x in range(width):
-                blocked[y, x] |= gap[y + dy, x] <= half_width
-    return blocked
+        _block_row(gap[y], half_heights, blocked[y])
+    return blocked.view(np.bool_)
+
+
+@njit
+@no_type_check
+def _block_row(
+    gap: Int16[np.ndarray, " w"],
+    half_heights: Int16[np.ndarray, " columns"],
+    blocked: UInt8[np.ndarray, " w"],
+) -> None:
+    """Block a row's cells that are near enough to what is occupied in columns round about."""
+    reach, width = half_heights.size // 2, gap.size
+    for n in range(half_heights.size):
+        dx, most = n - reach, half_heights[n]
+        to, source = np.uint64(max(0, -dx)), np.uint64(max(0, dx))
+        for x in range(np.uint64(max(0, width - abs(dx)))):
+            near = np.uint8(1) if gap[source + x] <= most else np.uint8(0)
+            blocked[to + x] = max(blocked[to + x], near)
 
 
 @njit(cache=True)
 @no_type_check
 def _corner_mask(blocked: Grid) -> UInt8[np.ndarray, "h w"]:
+    """Rows of the map and a free cell around it, so that every cell has neighbours."""
     height, width = blocked.shape
-    mask = np.zeros((height, width), np.uint8)
-    for y in range(height - 1):
-        for x in range(width - 1):
-            # Four cells with one blocked: the cell opposite to it is a corner.
-            here, right = blocked[y, x], blocked[y, x + 1]
-            above, across = blocked[y + 1, x], blocked[y + 1, x + 1]
-            if here + right + above + across == 1:
-                if across:
-                    mask[y, x] |= CORNER_PP
-                elif here:
-                    mask[y + 1, x + 1] |= CORNER_NN
-                elif right:
-                    mask[y + 1, x] |= CORNER_PN
-                else:
-                    mask[y, x + 1] |= CORNER_NP
+    mask = np.empty((height, width), np.uint8)
+    padded = np.ones((height + 2, width + 2), np.uint8)  # the border makes no corners
+    for y in range(height):
+        for x in range(width):
+            padded[y + 1, x + 1] = blocked[y, x]
+    for y in range(height):
+        _corners_of_row(padded[y], padded[y + 1], padded[y + 2], mask[y])
     return mask
+
+
+@njit
+@no_type_check
+def _corners_of_row(
+    below: UInt8[np.ndarray, " padded"],
+    here: UInt8[np.ndarray, " padded"],
+    above: UInt8[np.ndarray, " padded"],
+    mask: UInt8[np.ndarray, " w"],
+) -> None:
+    """Corners of a row between its neighbours, each with a cell more at both ends."""
+    for x in range(np.uint64(mask.size)):
+        left, right = x, x + np.uint64(2)
+        middle = x + np.uint64(1)
+        east, west = here[right], here[left]
+        north, south = above[middle], below[middle]
+        found = CORNER_PP * (above[right] & ~(east | north))
+        found |= CORNER_NP * (above[left] & ~(west | north))
+        found |= CORNER_PN * (below[right] & ~(east | south))
+        found |= CORNER_NN * (below[left] & ~(west | south))
+        mask[x] = found * (1 - here[middle])
 
 
 @njit(cache=True)

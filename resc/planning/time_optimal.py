@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import maximum_filter1d
 
 from resc.errors import PlanningError
 from resc.planning.obstacle_distance import distances, outside_box, solver
@@ -301,6 +300,8 @@ class _Task:
 
     def _pair(self, wanted: Bool[np.ndarray, "k p"]) -> None:
         """Adds pairs of obstacle and point, and their neighbours in time, to the programme."""
+        from scipy.ndimage import maximum_filter1d  # evaluations read limits without solving
+
         wide = 2 * int(SHIFT * wanted.shape[1]) + 1
         wanted = maximum_filter1d(wanted, wide, axis=1, mode="constant") if wanted.size else wanted
         self._pairs = wanted if self._pairs is None else self._pairs | wanted

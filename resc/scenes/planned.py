@@ -178,11 +178,13 @@ class PlannedScenes:
 
 def _room(points: Float[Tensor, "p c 2"], obstacles: Obstacles) -> Float[Tensor, "p c"]:
     """Distance [m] of each point to the nearest obstacle."""
-    nearest = []
-    for point in points.unbind(1):
-        boxes = box_distance(point, obstacles.boxes).amin(1)
-        nearest.append(torch.minimum(boxes, pillar_distance(point, obstacles.pillars).amin(1)))
-    return torch.stack(nearest, 1)
+    count, candidates = points.shape[:2]
+    each = points.reshape(-1, 2)
+    boxes, pillars = (kind.repeat_interleave(candidates, 0) for kind in obstacles)
+    nearest = torch.minimum(
+        box_distance(each, boxes).amin(1), pillar_distance(each, pillars).amin(1)
+    )
+    return nearest.view(count, candidates)
 
 
 def _point(way: Float[Tensor, "p r 3"], index: Int[Tensor, "p 1"]) -> Float[Tensor, "p 3"]:

@@ -109,14 +109,16 @@ def compose_scenes(names: Sequence[str], numbers: Mapping[str, Any]) -> dict[str
     known = set(chain.from_iterable(listed))
     hydra_config = HydraConfig.get()
     search = [text for text in hydra_config.overrides.hydra if "searchpath" in text]
-    scenes = {}
     for name, times in Counter(names).items():
         if name not in known:
             raise ConfigError(f"Unknown scene '{name}'.{nearest(name, known)}")
         if times > 1:
             raise ConfigError(f"scenes names '{name}' {times} times; raise flights instead.")
-        node = compose(hydra_config.job.config_name, [*search, f"+scene={name}"])["scene"]
-        own = OmegaConf.create(OmegaConf.to_container(node, resolve=True))
+    every = [*search, *(f"+scene@scene.{name}={name}" for name in names)]
+    found = compose(hydra_config.job.config_name, every)["scene"]
+    scenes = {}
+    for name in names:
+        own = OmegaConf.create(OmegaConf.to_container(found[name], resolve=True))
         both = OmegaConf.to_container(OmegaConf.merge(own, numbers), resolve=True)
         scenes[name] = cast(dict[str, Any], both)
     return scenes

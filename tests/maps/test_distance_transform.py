@@ -78,6 +78,16 @@ def test_whole_distances_are_whole_to_the_last_bit():
     assert torch.equal(distance_transform(occupied, 1.0)[0, 0], torch.arange(300.0))
 
 
+@pytest.mark.parametrize("truncation", [126.0, 127.0, 300.0])  # 16 bits hold the first alone
+@pytest.mark.parametrize("shape", [(1, 400), (400, 1), (200, 200)])
+def test_whole_numbers_are_long_enough_for_what_is_far(shape, truncation):
+    occupied = torch.zeros(1, *shape, dtype=torch.bool)
+    occupied[0, 0, 0] = True
+    y, x = torch.meshgrid(*(torch.arange(float(n)) for n in shape), indexing="ij")
+    expected = (x * x + y * y).sqrt().clamp(max=truncation)
+    assert_close(distance_transform(occupied, 1.0, truncation)[0], expected, atol=0, rtol=2e-7)
+
+
 def test_an_empty_map_holds_the_truncation_or_infinity():
     empty = torch.zeros(1, 5, 7, dtype=torch.bool)
     assert torch.equal(distance_transform(empty, 0.1, 3.0), torch.full((1, 5, 7), 3.0))

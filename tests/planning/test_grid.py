@@ -47,6 +47,15 @@ def test_inflation_blocks_exactly_the_cells_within_the_radius(radius: float):
     np.testing.assert_array_equal(inflate(occupancy, radius), expected)
 
 
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (3, 2)])
+def test_a_radius_may_reach_beyond_the_map(shape: tuple[int, int]):
+    occupancy = np.zeros(shape, bool)
+    occupancy[0, 0] = True
+    assert inflate(occupancy, 12.0).all()
+    y, x = np.indices(shape)
+    np.testing.assert_array_equal(inflate(occupancy, 2.0), x * x + y * y <= 4)
+
+
 def test_inflating_an_empty_map_blocks_nothing():
     assert not inflate(np.zeros((4, 7), bool), 3.0).any()
 

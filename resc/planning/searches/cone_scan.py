@@ -14,7 +14,7 @@ walk of their own.
 from typing import TypeAlias, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Int32, Int64, UInt8
+from jaxtyping import Bool, Int32, Int64
 from numba import njit
 
 from resc.planning.grid import (
@@ -26,6 +26,7 @@ from resc.planning.grid import (
     _corner_mask,
 )
 from resc.planning.searches.components import _label
+from resc.planning.searches.flags import find_changes, find_marked, room_for
 
 Table: TypeAlias = Int32[np.ndarray, "5 h columns"]
 Stack: TypeAlias = Int64[np.ndarray, "rows 5"]  # cones still to scan: row, left edge, right edge
@@ -50,9 +51,9 @@ def build_table(blocked: Grid) -> Table:
     height, width = blocked.shape
     table = np.empty((5, height, width + 1), np.int32)
     table[CODE, :, width], table[LABEL, :, width] = BLOCKED, -1
-    table[NEXT_WALL : NEXT_CORNER + 1, :, width] = width
     corners = _corner_mask(blocked)
     wall = np.zeros(width, np.bool_)
+    flags, words, places = room_for(width)
     for y in range(height):
         # The last row has no unit cells above it; its walls are never read.
         here, above, corner = blocked[y], blocked[min(y + 1, height - 1)], corners[y]
@@ -60,28 +61,45 @@ def build_table(blocked: Grid) -> Table:
             table[CODE, y, x] = corner[x] + BLOCKED * here[x]
         for x in range(width - 1):
             wall[x] = here[x] | here[x + 1] | above[x] | above[x + 1]
-        _index_row(wall, corner, table[NEXT_WALL, y], table[NEXT_GAP, y], table[NEXT_CORNER, y])
+        count = find_changes(wall, flags, words, places)
+        _index_walls(wall, places[:count], table[NEXT_WALL, y], table[NEXT_GAP, y])
+        count = find_marked(corner, flags, words, places)
+        _index_corners(places[:count], table[NEXT_CORNER, y])
     _label(blocked, table[LABEL])
     return table
 
 
 @njit(cache=True)
 @no_type_check
-def _index_row(
+def _index_walls(
     wall: Bool[np.ndarray, " w"],
-    corner: UInt8[np.ndarray, " w"],
+    changes: Int32[np.ndarray, " n"],
     next_wall: Int32[np.ndarray, " columns"],
     next_gap: Int32[np.ndarray, " columns"],
-    next_corner: Int32[np.ndarray, " columns"],
 ) -> None:
-    width = len(wall)
-    at_wall, at_gap, at_corner = width, width, width
-    for n in range(width):
-        x = width - 1 - n
-        at_wall = x if wall[x] else at_wall
-        at_gap = at_gap if wall[x] else x
-        at_corner = x if corner[x] else at_corner
-        next_wall[x], next_gap[x], next_corner[x] = at_wall, at_gap, at_corner
+    """Run by run: in one of walls the next wall is the cell's own, the next gap where it ends."""
+    width, first = wall.size, 0
+    for n in range(changes.size + 1):
+        end = changes[n] if n < changes.size else width
+        same, other = (next_wall, next_gap) if wall[first] else (next_gap, next_wall)
+        for x in range(first, end):
+            same[x], other[x] = x, end
+        first = end
+    next_wall[width], next_gap[width] = width, width
+
+
+@njit(cache=True)
+@no_type_check
+def _index_corners(
+    corners: Int32[np.ndarray, " n"], next_corner: Int32[np.ndarray, " columns"]
+) -> None:
+    first = 0
+    for x in corners:
+        for at in range(first, x + 1):
+            next_corner[at] = x
+        first = x + 1
+    for at in range(first, next_corner.size):
+        next_corner[at] = next_corner.size - 1
 
 
 @njit(cache=True)
