@@ -13,6 +13,8 @@ from resc.maps.cpu_kernels import share_out
 F = np.float32
 LEAST = 4
 """So many maps are worth a second thread."""
+LANES = 32
+"""So many numbers of 16 bits fill the vectors of a loop that is unrolled once."""
 SHORT = 127
 """Up to so many cells, the sum of two squares is a number of 16 bits."""
 
@@ -106,8 +108,9 @@ def _square(
     reach, farthest = min(wide, far), far * far
     gap = np.empty(occupied.shape, kind.dtype)
     along_columns(occupied, gap, far)
-    row = np.full(wide + 2 * reach, farthest, kind.dtype)  # nothing beyond the map
-    best = np.empty(wide, kind.dtype)
+    room = (wide + LANES - 1) // LANES * LANES  # nothing is left over from vector instructions
+    row = np.full(room + 2 * reach, farthest, kind.dtype)  # nothing beyond the map
+    best = np.zeros(room, kind.dtype)
     for y in range(top, bottom):
         for x in range(wide):
             best[x] = gap[y - above, x] * gap[y - above, x]

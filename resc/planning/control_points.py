@@ -213,7 +213,7 @@ def _stand_in(blocked: Grid, a: Point, b: Point, c: Point, d: Point, shortest: f
     for y in range(max(0, ceil(min(b[1], c[1]) - shortest)), top + 1):
         for x in range(max(0, ceil(min(b[0], c[0]) - shortest)), right + 1):
             w = (float(x), float(y))
-            if _quick(a, w) + _quick(w, d) > limit + _ROUNDING:
+            if blocked[y, x] or _quick(a, w) + _quick(w, d) > limit + _ROUNDING:
                 continue
             length = _length(a, w) + _length(w, d)
             if length < limit and _links(blocked, a, w, d):

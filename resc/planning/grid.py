@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Int16, UInt8
 from numba import njit
 
-from resc.maps.distance_transform import along_columns
+from resc.maps.distance_transform import LANES, along_columns
 
 Grid: TypeAlias = Bool[np.ndarray, "h w"]
 
@@ -61,30 +61,39 @@ def _inflate(occupancy: Grid, radius_squared: int) -> Grid:
     reach = int(sqrt(radius_squared + 0.5))
     gap = np.empty((height, width), np.int16)  # to the nearest occupied cell of the same column
     along_columns(occupancy, gap, reach + 1)
-    blocked = np.zeros((height, width), np.uint8)
     half_heights = np.empty(2 * reach + 1, np.int16)
     for n in range(2 * reach + 1):
         half_heights[n] = int(sqrt(radius_squared - (n - reach) ** 2 + 0.5))
+    room = (width + LANES - 1) // LANES * LANES  # nothing is left over from vector instructions
+    row = np.full(room + 2 * reach, reach + 1, np.int16)
+    spare = np.empty(room, np.int16)
+    blocked = np.empty((height, width), np.bool_)
     for y in range(height):
-        _block_row(gap[y], half_heights, blocked[y])
-    return blocked.view(np.bool_)
+        _near(gap[y], row, half_heights, spare, blocked[y])
+    return blocked
 
 
 @njit
 @no_type_check
-def _block_row(
+def _near(
     gap: Int16[np.ndarray, " w"],
+    row: Int16[np.ndarray, " longer"],
     half_heights: Int16[np.ndarray, " columns"],
-    blocked: UInt8[np.ndarray, " w"],
+    spare: Int16[np.ndarray, " room"],
+    blocked: Bool[np.ndarray, " w"],
 ) -> None:
-    """Block a row's cells that are near enough to what is occupied in columns round about."""
-    reach, width = half_heights.size // 2, gap.size
+    """Block the cells of a row that are near to what is occupied in the columns round about."""
+    reach, width = np.uint64(half_heights.size // 2), np.uint64(gap.size)
+    for x in range(width):
+        row[reach + x] = gap[x]
+    for x in range(np.uint64(spare.size)):
+        spare[x] = np.int16(-1)
     for n in range(half_heights.size):
-        dx, most = n - reach, half_heights[n]
-        to, source = np.uint64(max(0, -dx)), np.uint64(max(0, dx))
-        for x in range(np.uint64(max(0, width - abs(dx)))):
-            near = np.uint8(1) if gap[source + x] <= most else np.uint8(0)
-            blocked[to + x] = max(blocked[to + x], near)
+        most, beside = half_heights[n], np.uint64(n)
+        for x in range(np.uint64(spare.size)):
+            spare[x] = max(spare[x], np.int16(most - row[x + beside]))
+    for x in range(width):
+        blocked[x] = spare[x] >= np.int16(0)
 
 
 @njit(cache=True)
