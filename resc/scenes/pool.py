@@ -32,6 +32,9 @@ LAID_OUT = (
 """What the pool keeps of a layout, under the names of its fields."""
 CHUNK = 32
 """Maps transformed at once: small enough for the cache."""
+AHEAD, MOST = 8, 512
+"""Renewals whose scenes are laid out at once, and how many scenes at most, unless one takes more:
+most of what a small layout takes is dispatch."""
 SLACK = 1e-4
 """Difficulties closer than this are one: float32 keeps 0.1 + 0.2 apart from 0.3."""
 
@@ -40,7 +43,7 @@ class ScenePool:
     """Many scenes with their distance fields, laid out once and renewed piece by piece.
 
     Renewal goes round the pool. The entries next in turn are closed to new episodes well before, so
-    that hardly an episode is still in them.
+    that hardly an episode is still in them. Scenes are laid out some renewals ahead.
 
     Scenes of every difficulty of `levels` are there from the first to the last episode, in equal
     shares and by turns, and a scene is renewed at its own. So a difficulty holds for the very next
@@ -78,6 +81,8 @@ class ScenePool:
         self.generator = generator
         self.plan = plan
         self.head = 0
+        self.stock: Layout | None = None
+        self.taken = 0
         layout = self._lay_out(torch.arange(size))
         require_room(size, layout.size, resolution_m, device)
         self.shape = self._cells(layout)
@@ -143,7 +148,7 @@ class ScenePool:
         A planned route longer than every first one finds no room; its scene is kept as it was.
         """
         entries = (self.head + torch.arange(count)) % len(self)
-        layout = self._lay_out(entries)
+        layout = self._from_stock(count)
         self.head = (self.head + count) % len(self)
         room = self.tasks[keys.ROUTE_W].shape[1]
         fits = layout.route_length[:, 0] <= room
@@ -158,13 +163,33 @@ class ScenePool:
         """What a checkpoint needs to rebuild the pool; the distance fields are computed again."""
         values = {**self.shared, **self.tasks}
         layout = {key[1]: values[key].cpu().clone() for key in LAID_OUT}
-        return {**layout, "head": self.head, "generator": self.generator.get_state()}
+        drawn = self.drawn_from if self.stock else self.generator.get_state()
+        stock = {"stocked": len(self.stock or ()), "taken": self.taken}
+        return {**layout, "head": self.head, "generator": drawn, **stock}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Takes a checkpoint's scenes."""
         self.generator.set_state(state["generator"])
         self.head = int(state["head"])
+        self.stock, self.taken = None, int(state.get("taken", 0))
+        if stocked := int(state.get("stocked", 0)):
+            self._lay_in(stocked)
         self._write(torch.arange(len(self)), layout_from(state))
+
+    def _from_stock(self, count: int) -> Layout:
+        """The next scenes of those laid out ahead."""
+        if self.stock is None or self.taken + count > len(self.stock):
+            self.taken = 0
+            self._lay_in(count * max(1, min(AHEAD, MOST // max(count, 1))))
+        assert self.stock is not None
+        self.taken += count
+        return rows(self.stock, torch.arange(self.taken - count, self.taken))
+
+    def _lay_in(self, count: int) -> None:
+        """Lays out scenes ahead, of which `taken` are in the pool already."""
+        self.drawn_from = self.generator.get_state()
+        first = self.head - self.taken
+        self.stock = self._lay_out((first + torch.arange(count)) % len(self))
 
     def _write(self, entries: Tensor, layout: Layout) -> None:
         if len(layout) and any(a > b for a, b in zip(self._cells(layout), self.shape, strict=True)):

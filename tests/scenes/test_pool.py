@@ -8,7 +8,7 @@ from resc.errors import ConfigError
 from resc.maps.distance_transform import distance_transform
 from resc.math.sampling import generator_for
 from resc.scenes.layout import PARKED_M, Layout, rasterize
-from resc.scenes.pool import LAID_OUT, ScenePool
+from resc.scenes.pool import AHEAD, LAID_OUT, ScenePool
 from resc.setup import scene_of, set_up
 
 
@@ -94,6 +94,18 @@ def test_a_checkpoint_restores_scenes_and_what_follows(compose, pool):
         assert pool.renew(3).tolist() == other.renew(3).tolist()
 
 
+@pytest.mark.parametrize("renewals", [0, 1, AHEAD - 1, AHEAD, AHEAD + 1])
+def test_a_checkpoint_restores_what_is_laid_out_ahead(compose, pool, renewals):
+    for _ in range(renewals):
+        pool.renew(3)
+    other = make_pool(compose)
+    other.load_state(pool.state())
+    for _ in range(AHEAD + 1):
+        assert pool.renew(3).tolist() == other.renew(3).tolist()
+    for key, value in {**pool.shared, **pool.tasks}.items():
+        assert torch.equal(value, {**other.shared, **other.tasks}[key])
+
+
 def test_a_checkpoint_does_not_change_with_the_pool(pool):
     state = pool.state()
     before = state["route_w"].clone()
@@ -139,7 +151,7 @@ def test_maps_of_different_size_share_a_pool():
 
 
 def test_routes_of_renewed_scenes_are_padded_and_those_without_room_left_out(compose):
-    planned = iter(([2, 1, 1, 2], [1, 3], [2]))
+    planned = iter(([2, 1, 1, 2], [1, 3] + (2 * AHEAD - 2) * [2]))
 
     def plan(layout):
         length = torch.tensor(next(planned)).unsqueeze(-1)
