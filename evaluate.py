@@ -12,6 +12,7 @@ python evaluate.py 'pilot=[policy,pursuit]'             the policy, and a pilot 
 python evaluate.py replay=runs/latest_evaluation/rollouts#7    a recorded episode, flown again
 """
 
+import sys
 from pathlib import Path
 
 import hydra
@@ -27,7 +28,7 @@ from resc.flying.pilot import build_pilots
 from resc.pages.write import leave_page
 from resc.policies.stored import load_policy, policy_folder
 from resc.process import prepare_process
-from resc.run_folder import claimed
+from resc.run_folder import claimed, unfinished
 from resc.settings import check_settings, refuse_beside
 from resc.starting.answers import answering
 from resc.starting.composed import compose_scenes, refuse_doubles
@@ -57,6 +58,8 @@ def main(config: DictConfig) -> None:
         scenes = compose_scenes(names, config["scene"])
         config["policy"] = str(policy_folder(config["policy"], "policy"))
         policy = load_policy(Path(config["policy"]), config["device"], allowed)
+        if unfinished(Path(config["policy"])):
+            print(f"{config['policy']} is a training that has not finished.", file=sys.stderr)
         pilots = build_pilots(config["pilot"], allowed)
         with logged(folder / "evaluate.log"):
             print(Evaluation(config, policy, scenes, overrides, pilots).fly(folder))

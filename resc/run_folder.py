@@ -81,8 +81,8 @@ def claimed(folder: Path, *, resumes: bool = False) -> Iterator[None]:
         try:
             if not resumes and (found := next((n for n in OWNED if (folder / n).exists()), None)):
                 raise ConfigError(
-                    f"{folder} holds a run already ({found}); give another hydra.run.dir, or go on "
-                    "with that run by resume=."
+                    f"{folder} holds a run already ({found}); give another hydra.run.dir, or, if "
+                    "it is a training, go on with it by resume=."
                 )
             yield
         finally:
@@ -180,6 +180,11 @@ def link_latest(folder: Path, kind: Kind) -> None:
         temporary.unlink(missing_ok=True)
         temporary.symlink_to(folder.relative_to(runs), target_is_directory=True)
         temporary.replace(link)  # at once, so that a reader always finds a run
+
+
+def unfinished(folder: Path) -> bool:
+    """Whether a training is in the folder that stopped, or still goes on."""
+    return (folder / CHECKPOINT).exists() and not (folder / SUMMARY).exists()
 
 
 def latest(setting: str, *kinds: Kind) -> Path:

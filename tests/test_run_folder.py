@@ -7,7 +7,7 @@ import multiprocessing
 import pytest
 
 from resc.errors import ConfigError
-from resc.run_folder import claimed, finish_run, latest, link_latest, new_folder
+from resc.run_folder import claimed, finish_run, latest, link_latest, new_folder, unfinished
 
 
 @pytest.fixture
@@ -128,3 +128,11 @@ def test_folder_that_cannot_be_made_is_one_sentence(tmp_path):
         pass
     with pytest.raises(ConfigError, match="cannot be written to"):
         new_folder("/proc/nope/run")
+
+
+def test_a_training_is_unfinished_from_its_first_checkpoint_to_its_summary(tmp_path):
+    assert not unfinished(tmp_path)
+    (tmp_path / "checkpoint.pt").touch()
+    assert unfinished(tmp_path)
+    (tmp_path / "summary.json").touch()
+    assert not unfinished(tmp_path)

@@ -107,7 +107,8 @@ def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Res
     write_flights(table, folder / FLIGHTS_TABLE)
     calls = {name: flights.calls for name, flights in flown.items()}
     write_calls(calls, folder / CALLS_TABLE)
-    lost = "\n".join([failures(reports), failing(calls)]).strip()
+    led_out = "\n".join(course.led_out for course in courses if course.led_out)
+    lost = "\n".join([led_out, failures(reports), failing(calls)]).strip()
     text = f"{markdown(reports, limits)}\n{lost}".rstrip() + "\n"
     (folder / REPORT).write_text(f"# {title}\n\n{text}")
     return Result(

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -204,6 +205,9 @@ class Evaluation:
         suite = config["suite"] if config["scenes"] is None else None
         amounts = amounts_of(scenes, suite, maps=config["maps"], flights=config["flights"])
         courses = lay_out(scenes, amounts, seed=config["seed"], planner=planner, allowed=allowed)
+        for course in courses:
+            if course.led_out:
+                print(course.led_out, file=sys.stderr)
         return Contest(courses, self._rules, self.limits, references, config["scene_files"])
 
     def _fly_all(self, contest: Contest, folder: Path) -> list[Result]:

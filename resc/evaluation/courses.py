@@ -32,7 +32,8 @@ class Course:
     `own_routes`: the scene laid the routes out itself,
     so its flights obey the task and the terminations of the training; all others lead from rest to
     the goal of a planned path. `number` tells which map a flight is on; `redrawn` how many maps had
-    no route and were drawn again, None of a scene that draws none.
+    no route and were drawn again, None of a scene that draws none. `led_out` says of how many
+    flights the start or the goal is within the clearance of the search, if any.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Course:
     own_routes: bool
     number: Int[np.ndarray, " p"]
     redrawn: int | None = None
+    led_out: str = ""
 
     def __len__(self) -> int:
         return len(self.layout)
@@ -101,6 +103,7 @@ def lay_out(
         amounts = dict.fromkeys(scenes, Amount(amounts))
     courses = []
     for name, node in scenes.items():
+        led_out = ""
         drawing = {"seed": seed, "planner": planner, "allowed": allowed}
         maps = drawn(name, node, amounts[name], **drawing)
         layout = maps.layout
@@ -112,11 +115,24 @@ def lay_out(
         else:
             layout = planner(layout, name)
             planned = [path.points_m for path in planner.paths]
+            led_out = _led_out(name, planner)
         course = Course(
-            name, layout, maps.nominal_w, planned, own_routes, maps.number, maps.redrawn
+            name, layout, maps.nominal_w, planned, own_routes, maps.number, maps.redrawn, led_out
         )
         courses.append(course)
     return courses
+
+
+def _led_out(name: str, planner: RoutePlanner) -> str:
+    """What to say of routes whose ends keep less than the clearance; nothing if all keep it."""
+    count = sum(path.snapped for path in planner.paths)
+    if not count:
+        return ""
+    return (
+        f"{name}: {count} of {len(planner.paths)} routes begin or end within the clearance of the "
+        f"search, {planner.search.clearance_m:g} m, and lead out of it first, past obstacles "
+        "nearer than that; lower search.clearance_m, or move start or goal."
+    )
 
 
 @dataclass(frozen=True)

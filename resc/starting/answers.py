@@ -1,6 +1,7 @@
 """What a command answers where something is wrong: one sentence, with the nearest right name."""
 
 import contextlib
+import errno
 import os
 import re
 import signal
@@ -40,15 +41,33 @@ def answering() -> Iterator[None]:
             told = f"{told.partition(chr(10))[0]} ({error.full_key})"
         if isinstance(error, OSError) and error.filename is not None:
             told = f"{error.filename} cannot be used ({error.strerror}); give another, or mend it."
+        if isinstance(error, OSError) and error.errno == errno.ENOSPC:
+            told = "The disk is full; make room, then run the command again."
         told = "\n".join([f"error: {told}", *getattr(error, "__notes__", [])])
         if ranks.may_say(error):
             print(told, file=sys.stderr)
         ranks.leave_word(error, told)
         sys.exit(ExitCode.UNFINISHED if isinstance(error, UnfinishedError) else ExitCode.ERROR)
+    except Exception as error:
+        if not type(error).__module__.startswith("torch._dynamo"):
+            raise
+        print(f"error: {_uncompiled(error)}", file=sys.stderr)
+        sys.exit(ExitCode.ERROR)
     except KeyboardInterrupt as error:
         if ranks.is_first():
             print("\n".join(["Stopped.", *getattr(error, "__notes__", [])]), file=sys.stderr)
         sys.exit(ExitCode.INTERRUPTED)
+
+
+def _uncompiled(error: Exception) -> str:
+    """What torch's compiler says, and the line of a part that it could not read."""
+    text = str(error)
+    lines = re.findall(r'File "([^"]+)", line (\d+), in (\w+)', text)
+    where = f" in {lines[-1][0]}, line {lines[-1][1]} ({lines[-1][2]})" if lines else ""
+    return (
+        f"torch cannot compile the step{where}: {text.partition(chr(10))[0]} A part computes all "
+        "environments at once: write torch.where for a Python `if`, or give compile=false."
+    )
 
 
 def refused(error: Exception, config_name: str, arguments: Sequence[str]) -> ConfigError:

@@ -44,6 +44,12 @@ def test_scene_with_a_goal_is_planned(corridor):
     assert (course.planned_lengths_m > 3.5).all()
 
 
+def test_routes_that_begin_within_the_clearance_are_told(corridor):
+    assert corridor(2).led_out == ""
+    said = corridor(2, start_m=[2.2, 1.0, 1.0]).led_out  # 0.3 m from the wall
+    assert said.startswith("corridor: 2 of 2 routes begin or end within the clearance")
+
+
 def test_random_maps_differ(planner):
     course = lay_out({"boxes": BOXES}, 2, seed=1, planner=planner)[0]
     assert not course.one_map
