@@ -4,9 +4,11 @@ import errno
 
 import pytest
 import torch
+from hydra.errors import HydraException
 
+from resc import schema
 from resc.errors import ExitCode
-from resc.starting.answers import answering
+from resc.starting.answers import answering, refused
 
 
 def answer(error: BaseException, capsys: pytest.CaptureFixture[str]) -> str:
@@ -36,3 +38,23 @@ def test_a_part_that_cannot_be_compiled_is_told_with_its_line(capsys):
 def test_other_errors_are_left_alone():
     with pytest.raises(ZeroDivisionError), answering():
         raise ZeroDivisionError
+
+
+@pytest.mark.parametrize(
+    ("text", "config", "said"),
+    [
+        (
+            "Could not delete from config. 'reward.progres' does not exist.",
+            "train",
+            "reward.progres is not a setting: reward has no 'progres'. Did you mean 'progress'?",
+        ),
+        (
+            "Could not override 'obstacle_observation'.",
+            "evaluate",
+            "obstacle_observation is not a setting of evaluate: a policy keeps what it was trained",
+        ),
+    ],
+)
+def test_names_that_are_not_there_are_explained(text, config, said):
+    schema.register()
+    assert str(refused(HydraException(text), config, [])).startswith(said)

@@ -84,7 +84,8 @@ def _own_words(error: BaseException | None) -> str:
 
 def _explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str:
     text = str(error)
-    if override := re.search(r"Could not override '([\w.@/]+)'", text):
+    gone = re.search(r"Could not delete from config[^']*'([\w.@/]+)' does not exist", text)
+    if override := gone or re.search(r"Could not override '([\w.@/]+)'", text):
         return _explain_override(override[1], config_name, _choices(arguments))
     if option := re.search(r"Could not (?:load|find) '([\w/]+)/(\w+)'", text):
         group, name = option.groups()
@@ -126,5 +127,7 @@ def _explain_override(path: str, config_name: str, choices: Sequence[str]) -> st
     missing = parts[len(found)]
     if missing in known:
         return f"{path} is not a setting of the configuration that --config-name names."
+    if config_name == "evaluate" and path in ("obstacle_observation", "env", "model", "algorithm"):
+        return f"{path} is not a setting of evaluate: a policy keeps what it was trained with."
     where = ".".join(found) or config_name
     return f"{path} is not a setting: {where} has no '{missing}'.{nearest(missing, known)}"
