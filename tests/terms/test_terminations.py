@@ -31,15 +31,6 @@ def test_three_cells_from_an_obstacle_is_no_collision_yet():
     assert flags[:, 0].tolist() == [True, False, False]
 
 
-@pytest.mark.parametrize("own", [True, False])
-def test_a_difficulty_scales_the_radius_of_a_collision(own):
-    term = Collision(radius_m=None if own else 0.3)
-    term.difficulty = "margin"
-    clearance, share = column(0.0, 0.14, 0.16, 0.29), column(0.0, 0.5, 0.5, 1.0)
-    given = [column(0.3, 0.3, 0.3, 0.3)] if own else []
-    assert term.compute(clearance, *given, share)[:, 0].tolist() == [False, True, False, True]
-
-
 def test_contact_is_at_the_surface_itself():
     assert Contact(radius_m=0.0).compute(column(0.01, 0.0, -0.1))[:, 0].tolist() == [
         False,

@@ -14,12 +14,11 @@ class Collision(Termination):
 
     Args:
         radius_m: What is kept clear; null for the episode's own margin, which
-            `randomization.margin` draws. A difficulty scales it: at 0 nothing is hit.
+            `randomization.margin` draws.
     """
 
     reads = (keys.CLEARANCE,)
     collision = True
-    eases = True
 
     def __init__(self, *, radius_m: MapDistance | None = 0.3) -> None:
         super().__init__()
@@ -30,7 +29,7 @@ class Collision(Termination):
         self.radius_m = radius_m
 
     def compute(
-        self, clearance: Float[Tensor, "n 1"], *given: Float[Tensor, "n 1"]
+        self, clearance: Float[Tensor, "n 1"], *own: Float[Tensor, "n 1"]
     ) -> Bool[Tensor, "n 1"]:
-        radius = given[0] if self.radius_m is None else self.radius_m
-        return clearance < (radius * given[-1] if self.difficulty else radius)
+        (radius,) = own if self.radius_m is None else (self.radius_m,)
+        return clearance < radius
