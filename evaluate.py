@@ -58,10 +58,10 @@ def main(config: DictConfig) -> None:
         scenes = compose_scenes(names, config["scene"])
         config["policy"] = str(policy_folder(config["policy"], "policy"))
         policy = load_policy(Path(config["policy"]), config["device"], allowed)
-        if unfinished(Path(config["policy"])):
-            print(f"{config['policy']} is a training that has not finished.", file=sys.stderr)
         pilots = build_pilots(config["pilot"], allowed)
         with logged(folder / "evaluate.log"):
+            if unfinished(Path(config["policy"])):
+                print(f"{config['policy']} is a training that has not finished.", file=sys.stderr)
             print(Evaluation(config, policy, scenes, overrides, pilots).fly(folder))
             leave_page(folder)
 

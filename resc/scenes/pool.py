@@ -84,6 +84,7 @@ class ScenePool:
         self.stock: Layout | None = None
         self.taken = 0
         layout = self._lay_out(torch.arange(size))
+        self.drawn_from = generator.get_state()
         require_room(size, layout.size, resolution_m, device)
         self.shape = self._cells(layout)
         # clone: a scene may share one row among all

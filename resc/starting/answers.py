@@ -19,6 +19,9 @@ from resc import ranks
 from resc.errors import ConfigError, ExitCode, RescError, UnfinishedError, nearest
 from resc.places import CONF
 
+TOLD = (RescError, OSError, OmegaConfBaseException, MarkedYAMLError)
+"""What is told in a sentence, beside what torch cannot compile."""
+
 
 @contextlib.contextmanager
 def answering() -> Iterator[None]:
@@ -32,8 +35,11 @@ def answering() -> Iterator[None]:
     except BrokenPipeError:  # the reader of the output, such as head, has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
-    except (RescError, OSError, OmegaConfBaseException, MarkedYAMLError) as error:
-        told = str(error)
+    except Exception as error:
+        uncompiled = type(error).__module__.startswith("torch._dynamo")
+        if not uncompiled and not isinstance(error, TOLD):
+            raise
+        told = _uncompiled(error) if uncompiled else str(error)
         if isinstance(error, MarkedYAMLError) and error.problem_mark:
             mark = error.problem_mark
             told = f"{mark.name}, line {mark.line + 1}: {error.problem}; mend this file."
@@ -48,11 +54,6 @@ def answering() -> Iterator[None]:
             print(told, file=sys.stderr)
         ranks.leave_word(error, told)
         sys.exit(ExitCode.UNFINISHED if isinstance(error, UnfinishedError) else ExitCode.ERROR)
-    except Exception as error:
-        if not type(error).__module__.startswith("torch._dynamo"):
-            raise
-        print(f"error: {_uncompiled(error)}", file=sys.stderr)
-        sys.exit(ExitCode.ERROR)
     except KeyboardInterrupt as error:
         if ranks.is_first():
             print("\n".join(["Stopped.", *getattr(error, "__notes__", [])]), file=sys.stderr)
