@@ -136,6 +136,14 @@ def few_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module", autouse=True)
+def hydra_is_kept(composer: Composer) -> Iterator[None]:
+    """Fails in the file that ends Hydra or begins it anew, not in others after it."""
+    begun = GlobalHydra.instance().hydra
+    yield
+    assert GlobalHydra.instance().hydra is begun
+
+
 @pytest.fixture(scope="session")
 def composer() -> Iterator[Composer]:
     """`composer(name, overrides)`: the configuration of conf/<name>.yaml."""
@@ -225,8 +233,7 @@ def start_here(run: Callable[[DictConfig], None], config_name: str) -> None:
     try:
         launch(main(run), config_name)
     finally:
-        # The instance of now: a sentence about an override composes with one of its own.
-        GlobalHydra.instance().hydra, HydraConfig.instance().cfg = initialized, known
+        outside.hydra, HydraConfig.instance().cfg = initialized, known
         logging.getLogger().setLevel(level)
 
 

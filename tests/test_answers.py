@@ -6,7 +6,6 @@ import pytest
 import torch
 from hydra.errors import HydraException
 
-from resc import schema
 from resc.errors import ExitCode
 from resc.starting.answers import answering, refused
 
@@ -56,5 +55,4 @@ def test_other_errors_are_left_alone():
     ],
 )
 def test_names_that_are_not_there_are_explained(text, config, said):
-    schema.register()
     assert str(refused(HydraException(text), config, [])).startswith(said)

@@ -9,7 +9,6 @@ import sys
 from collections.abc import Iterator, Sequence
 
 from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -18,6 +17,7 @@ from yaml import MarkedYAMLError
 from resc import ranks
 from resc.errors import ConfigError, ExitCode, RescError, UnfinishedError, nearest
 from resc.places import CONF
+from resc.starting.aside import set_aside
 
 TOLD = (RescError, OSError, OmegaConfBaseException, MarkedYAMLError)
 """What is told in a sentence, beside what torch cannot compile."""
@@ -106,8 +106,7 @@ def _choices(arguments: Sequence[str]) -> list[str]:
 
 
 def _explain_override(path: str, config_name: str, choices: Sequence[str]) -> str:
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
+    with set_aside(), initialize_config_dir(str(CONF), version_base="1.3"):
         try:
             node = compose(config_name, list(choices))
         except HydraException:  # choices of several runs, or from elsewhere
