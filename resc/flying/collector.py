@@ -174,6 +174,8 @@ class Collector:
         env = self.env
         values: World = {key: before[key] for key in self.recorded}
         values[("next", OBSERVATION)] = out.observation
+        if out.observation_critic.shape[-1]:
+            values[("next", OBSERVATION_CRITIC)] = out.observation_critic
         values |= {("next", name): getattr(out, name) for name in ("reward", *FLAGS)}
         values[("reward_terms",)] = out.reward_terms
         self._write(t, values)
@@ -226,7 +228,10 @@ class Collector:
                 self._routes.begin(step, rows)
 
     def _allocate(self, seen: TensorDict, chosen: TensorDict) -> TensorDict:
-        """The batch's memory [steps, n]: for what is seen and chosen, and for what comes of it."""
+        """The batch's memory [steps, n]: for what is seen and chosen, and for what comes of it.
+
+        Numbers that are never written are none, so that no value is learned from zeros.
+        """
         env = self.env
         column = torch.zeros(env.num_envs, 1, device=env.device)
         after = {
@@ -239,7 +244,10 @@ class Collector:
         step.update({key: env.value_of(key) for key in self.recorded})
         terms = len(env.stages.terms.rewards)
         step["reward_terms"] = torch.zeros(env.num_envs, terms, device=env.device)
-        return cast(TensorDict, step.expand(self.steps, env.num_envs).clone().zero_())
+        batch = cast(TensorDict, step.expand(self.steps, env.num_envs).clone())
+        for leaf in _leaves(batch).values():
+            leaf.fill_(torch.nan if leaf.is_floating_point() else 0)
+        return batch
 
     def _require_room(self, policy: Policy) -> None:
         """Refuses batches that no memory holds, before anything is flown."""
