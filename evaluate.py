@@ -19,7 +19,7 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from resc import garbage as garbage  # first: nothing is collected while this starts
+from resc import early as early  # first, for what it does as it is imported
 from resc import schema
 from resc.console import logged
 from resc.evaluation.campaign import Evaluation

@@ -17,7 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 TRAINING = """
-from resc import garbage
+from resc import early
 import train
 from benchmarks.measure import load
 from resc.learning.training_run import TrainingRun

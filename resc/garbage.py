@@ -1,14 +1,7 @@
-"""When Python looks for garbage: not while a command starts.
-
-A start makes more than a million objects that stay: modules, and what torch's compiler notes of the
-code that it reads. Looking through all of them again and again for those that only refer to each
-other takes a fifth of the start. Scripts import this first; what flies says when a start is over.
-"""
+"""When a script begins to collect garbage: as it begins to fly (`resc.early`)."""
 
 import atexit
 import gc
-
-gc.disable()
 
 
 def collect() -> None:

@@ -7,7 +7,7 @@ from source_trees import parsed
 
 PACKAGE = Path(__file__).parents[1] / "resc"
 FLOORS = (
-    {"cuda_graph", "errors", "garbage", "kept_program", "keys", "moved", "places"},
+    {"cuda_graph", "early", "errors", "garbage", "kept_program", "keys", "moved", "places"},
     {"shared_means"},
     {"ranks"},
     {

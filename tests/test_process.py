@@ -1,5 +1,9 @@
 """What is said of the process itself."""
 
+import signal
+import subprocess
+import sys
+
 import numba
 import pytest
 
@@ -33,3 +37,11 @@ def test_what_others_compile_is_none_of_ours(capsys):
     tell_of_compiling()
     assert numba.njit(lambda x: x + 1)(1) == 2
     assert capsys.readouterr().out == ""
+
+
+def test_an_interruption_while_a_script_imports_is_one_word():
+    said = "import resc.early; raise KeyboardInterrupt"
+    ended = subprocess.run(
+        [sys.executable, "-c", said], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (-signal.SIGINT, "Stopped.\n")

@@ -93,18 +93,17 @@ def _draw_difficulty(
 
 
 def _draw_success_by_difficulty(axes: Axes, rows: list[dict[str, float]], names: list[str]) -> None:
-    """Mean success in each bin of difficulty, apart for each third of the training."""
-    third = -(-len(rows) // 3)
-    for part in range(0, len(rows), third):
-        some = rows[part : part + third]
+    """Mean success in each bin of difficulty; of a single one, apart for thirds of the training."""
+    size = len(rows) if len(names) > 1 else -(-len(rows) // 3)
+    for part in range(0, len(rows), size):
+        some = rows[part : part + size]
         for name, style in zip(names, cycle(STYLES)):
             prefix = f"success_by_{name}/"
             bins = sorted({key for row in some for key in row if key.startswith(prefix)})
             centres = [sum(map(float, key.removeprefix(prefix).split("-"))) / 2 for key in bins]
             shares = [mean(row[key] for row in some if key in row) for key in bins]
             span = f"{some[0]['frames'] / 1e6:.2g} to {some[-1]['frames'] / 1e6:.2g} M"
-            colour = ORDER(part / max(len(rows), 1))
-            label = f"{name}, {span}"
+            colour, label = (TEXT, name) if len(names) > 1 else (ORDER(part / len(rows)), span)
             axes.plot(centres, shares, marker="o", linestyle=style, color=colour, label=label)
     axes.set(xlabel="difficulty", ylabel="share that succeeds", xlim=(0, 1), ylim=(-0.02, 1.02))
     axes.set(title="success against difficulty")

@@ -136,6 +136,9 @@ def _density(axes: Axes, sweep: Sweep, analysis: Analysis, looks: Looks) -> None
 
 def _pareto(axes: Axes, sweep: Sweep, analysis: Analysis, looks: Looks) -> None:
     del sweep
+    if not analysis.shared.any():
+        axes.text(0.5, 0.5, "There is no scene in which all variants arrive.", ha="center")
+        return
     for result in analysis.results:
         time, energy = result.time_s, result.energy_m2ps5
         if np.isnan(time.value) or np.isnan(energy.value):

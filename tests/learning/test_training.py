@@ -52,6 +52,28 @@ def test_run_leaves_checkpoint_curve_and_one_row_per_batch(compose, tmp_path):
     assert (tmp_path / CHECKPOINT).exists()
 
 
+def test_a_budget_below_a_batch_is_told(compose, tmp_path, capsys):
+    complete, table = run(TrainingRun(compose(*SMALL)).trainer(), tmp_path, total_frames=1)
+    assert complete
+    assert [row["frames"] for row in table.rows] == [128]
+    assert capsys.readouterr().out == "A batch is 128 steps: all of it is trained.\n"
+
+
+def test_the_curve_has_one_line_of_success_for_each_of_several_difficulties(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    easy, hard = (f"success_by_haste/{span}" for span in ("0.0-0.2", "0.8-1.0"))
+    rows = [
+        {"frames": 1e6, "difficulty/haste": 0.1, "difficulty/care": 1.0, easy: 0.75},
+        {"frames": 2e6, "difficulty/haste": 0.9, "difficulty/care": 1.0, easy: 0.25, hard: 0.5},
+        {"frames": 3e6, "difficulty/haste": 0.9, "difficulty/care": 1.0, hard: 1.0},
+    ]
+    draw_learning_curve(rows, tmp_path / "curve.png")
+    (panel,) = (each for each in drawn[0].axes if each.get_title() == "success against difficulty")
+    lines = {line.get_label(): line.get_xydata().tolist() for line in panel.lines}
+    assert lines == {"haste": [[0.1, 0.5], [0.9, 0.75]], "care": []}
+
+
 def test_curve_of_a_run_whose_last_batch_ended_no_episode_shows_the_others(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))

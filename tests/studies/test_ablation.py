@@ -4,15 +4,18 @@ import contextlib
 import csv
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from made_up_sweep import make_run
+from matplotlib.figure import Figure
 
 from resc.command_line import differing
 from resc.errors import ConfigError
 from resc.studies.ablation import main, write_report
 from resc.studies.ablation_analysis import analyse
+from resc.studies.ablation_figures import draw_figures
 from resc.studies.study import read_sweep, short_keys, variant_names
 
 GOOD, POOR = [1, 1, 1, 1], [1, 1, 0, 0]
@@ -84,6 +87,18 @@ def test_report_holds_tables_pictures_and_what_differs(sweep):
         ("kgp_esdf", 1.0),
         ("none", 0.5),
     ]
+
+
+def test_a_picture_without_a_scene_in_which_all_arrive_says_so(sweep, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    found = analyse(read_sweep(sweep))
+    for analysis in (found, replace(found, shared=np.zeros_like(found.shared))):
+        draw_figures(read_sweep(sweep), analysis, tmp_path)
+    told = [[text.get_text() for text in figure.axes[0].texts] for figure in drawn]
+    none = ["There is no scene in which all variants arrive."]
+    assert none not in told[:6]
+    assert none in told[6:]
 
 
 def test_failed_and_unfinished_runs_are_listed_and_not_counted(sweep):
