@@ -183,7 +183,7 @@ ROUTE_CLEARANCE = _declare(
 )
 ROUTE_W = _declare(("task", "route_w"), ("k", 3), "m", "all control points, padded with the last")
 ROUTE_LENGTH = _declare(
-    ("task", "route_length"), (1,), "-", "number of control points", torch.int64
+    ("task", "route_length"), (1,), "-", "number of control points, 0 without a way", torch.int64
 )
 ROUTE_INDEX = _declare(
     ("task", "route_index"), (1,), "-", "control points already passed", torch.int64

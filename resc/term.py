@@ -74,7 +74,8 @@ class Term(TensorDictModuleBase):
     Uniform numbers in [0, 1) per environment reach `compute` as its last argument: `draws` of them
     for terms of the reset, `step_draws`, at every step and reset, for all others.
 
-    What a term `varies` with, it reads after everything else in episodes that have it drawn.
+    What a term `varies` with, it reads after everything else where that is drawn for every episode,
+    or kept by what plans routes again.
 
     A term that calls other code than torch says so, `compiles = False`, and flies uncompiled. One
     whose outputs come from outside, so that no replay gives them again, says `replays = False`.
@@ -109,7 +110,7 @@ class Term(TensorDictModuleBase):
         """Takes the constants of its surroundings, once, before the first `compute`."""
 
     def vary(self, drawn: Collection[NestedKey]) -> None:
-        """Reads what it varies with and what is drawn for every episode, too."""
+        """Reads what it varies with, too, as far as it is `drawn` or kept."""
         if self.varies:
             own = [key for key in self.reads if key not in self.varies]
             self.reads = (*own, *(key for key in self.varies if key in drawn))

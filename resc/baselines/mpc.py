@@ -153,7 +153,7 @@ class Mpc(Pilot):
             MpcFlight(
                 self.programme,
                 Obstacles(*standing(self.maps, entry)),
-                path[: length + 1],
+                path[: max(length, 1) + 1],
                 margin_m=self.margin_m,
                 lookahead_m=self.lookahead_m,
             )

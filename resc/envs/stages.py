@@ -69,8 +69,9 @@ class Stages(nn.Module):
         )  # so that .to(device) reaches their buffers
         self.context = context
         self.drawn = tuple(key for term in terms.randomizations for key in term.outputs)
+        planned = terms.replanning.keeps if terms.replanning else ()
         for term in terms:
-            term.vary(self.drawn)
+            term.vary({*self.drawn, *planned})
         self._bind_terms(terms)
         for term in terms.observed:
             term.history = term.history or context.history

@@ -49,8 +49,9 @@ class InFlight(Replanning):
     speed is more dangerous.
 
     An end inside the clearance is moved to the nearest free cell within `link_m`, and flagged.
-    Where no way to the goal is known, the control points become the place where that was found, and
-    the search is tried again at each check: the vehicle hovers until a way opens or time is up.
+    Where no way to the goal is known, the route has no control points but the place where that was
+    found, which is never passed, and the search is tried again at each check: the vehicle hovers
+    until a way opens or time is up.
     Nothing is planned for an episode that is over but flown on, as in evaluations.
 
     Args:
@@ -170,13 +171,7 @@ class InFlight(Replanning):
     def bind(self, context: Context) -> None:
         """Takes the size of a cell, and how many steps there are between two checks."""
         self.resolution_m = context.resolution_m
-        every = max(1, round(1 / (self.check_hz * context.dt_s)))
-        if every > self.points - 2:
-            raise ConfigError(
-                f"check_hz is {self.check_hz:g}, one check in {every} control steps; raise it, or "
-                f"points above {every + 2}."
-            )
-        self.every = every
+        self.every = max(1, round(1 / (self.check_hz * context.dt_s)))
 
     def begin(self, tensors: Mapping[NestedKey, Tensor]) -> Mapping[NestedKey, Tensor]:
         """The given route, with room for longer ones; nothing is on its way."""
@@ -265,7 +260,7 @@ class InFlight(Replanning):
         hover = torch.where(closed & ~lost, position, hover)
         held = hover.unsqueeze(1).expand_as(route)
         fresh = torch.where(closed.unsqueeze(-1), held, fresh)
-        count = torch.where(closed, self.points, count)
+        count = torch.where(closed, 0, count)
         planned = renewed | closed
         pending = torch.where(planned.unsqueeze(-1), fresh, pending)
         pending_length = torch.where(planned, count, pending_length)

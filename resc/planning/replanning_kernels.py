@@ -100,7 +100,7 @@ def renew(
         rows = min(height, int(size[entry, 1] / cell_m + 0.5))
         known = esdf[n, :rows, :columns]
         seen = evidence[n, :rows, :columns]
-        way = route[n, min(ahead[n], length[n] - 1) : length[n]]
+        way = route[n, max(0, min(ahead[n], length[n] - 1)) : length[n]]
         speed = hypot(velocity[n, 0], velocity[n, 1])
         entered = entered_s * speed, entered_m
         reach = look_m, margin_m, seen_m, entered

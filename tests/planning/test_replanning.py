@@ -15,6 +15,7 @@ from resc.planning.replanning import InFlight
 from resc.planning.replanning_kernels import CLOSED_OFF, ON_ROUTE, RENEWED
 from resc.setup import build_stages
 from resc.term import Context
+from resc.terms.tasks.control_points import ControlPoints
 
 GOAL = (5.0, 0.0, 1.2)
 
@@ -134,12 +135,41 @@ def test_a_goal_that_closes_off_makes_the_vehicle_wait_and_the_way_that_opens_go
     assert flight.check(1, closed) == CLOSED_OFF
     for clock in range(2, 30):
         assert flight.check(clock, closed) == CLOSED_OFF
-        assert int(flight.tensors[keys.ROUTE_INDEX]) < int(flight.tensors[keys.ROUTE_LENGTH])
+    assert len(flight.route) == 0
     assert_close(flight.tensors[keys.CONTROL_POINTS_W][0], torch.tensor([[-4.0, 0.0, 1.0]] * 2))
     for clock in range(30, 34):
         flight.check(clock, known(WALL))
     assert int(flight.tensors[keys.REPLAN_STATUS]) == ON_ROUTE
     assert_close(flight.route[-1], torch.tensor(GOAL))
+
+
+@pytest.mark.parametrize("options", [{}, {"latency_steps": 50, "check_hz": 2.0}, {"points": 8}])
+def test_a_vehicle_that_waits_passes_nothing_and_does_not_arrive(options):
+    ring = known(
+        (-5, -3, -1.1, -1.0), (-5, -3, 1, 1.1), (-5, -4.9, -1.1, 1.1), (-3.1, -3, -1.1, 1.1)
+    )
+    flight, task = Flight(**options), ControlPoints().named("control_points")
+    flight.check(0, known())
+    for clock in range(1, 200):
+        task.run(flight.tensors)
+        assert not flight.tensors[keys.PASSED]
+        assert not flight.tensors[keys.FINISHED]
+        flight.check(clock, ring)
+    assert len(flight.route) == 0
+
+
+def test_the_time_to_the_goal_is_that_to_the_goal_of_the_episode(compose):
+    within = "+metric.within={_target_: resc.terms.metrics.flight.TimeWithin, radius_m: 0.5}"
+    stages = build_stages(compose("sensing=depth", "replanning=in_flight", within))
+    (metric,) = (term for term in stages.terms.metrics if term.name == "within")
+    here, elsewhere = torch.zeros(1, 3), torch.full((1, 3), 3.0)
+    never, clock = torch.full((1, 1), torch.inf), torch.ones(1, 1)
+    assert metric.compute(never, here, here[None], clock, elsewhere).isinf()
+    assert_close(metric.compute(never, here, elsewhere[None], clock, here), 0.02 * clock)
+    assert keys.REPLAN_GOAL_W in metric.reads
+    (metric,) = (t for t in build_stages(compose(within)).terms.metrics if t.name == "within")
+    assert keys.REPLAN_GOAL_W not in metric.reads
+    assert_close(metric.compute(never, here, here[None], clock), 0.02 * clock)
 
 
 def test_an_end_inside_the_clearance_is_moved_and_flagged():
@@ -328,7 +358,6 @@ def test_routes_begin_at_the_estimated_state_and_not_at_the_true_one(make_env, k
         ([], "replanning goes by the map that a vehicle knows.* choose sensing=local"),
         (["sensing=depth", "replanning.clearance_m=0.2"], r"clearance_m is 0\.2, below margin_m"),
         (["sensing=depth", "replanning.entered_m=0.3"], r"entered_m is 0\.3, above margin_m"),
-        (["sensing=depth", "replanning.points=8", "replanning.check_hz=1"], "check_hz is 1, one"),
         (["sensing=depth", "replanning.spacing_m=[2,1]"], r"spacing_m is \[2.0, 1.0\]; expec"),
         (["sensing=depth", "replanning.latency_steps=-1"], r"replanning\.latency_steps is -1"),
     ],

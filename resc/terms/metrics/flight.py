@@ -157,12 +157,14 @@ class StepsOverLimit(Metric):
 
 
 class TimeWithin(Metric):
-    """First time [s] within `radius_m` of the last control point; infinite until then.
+    """First time [s] within `radius_m` of the goal; infinite until then.
 
-    Runs on after the finish.
+    The goal is the last control point, where routes are planned again that of the first one. Runs
+    on after the finish.
     """
 
     reads = (keys.POSITION_W, keys.ROUTE_W, keys.CLOCK)
+    varies = (keys.REPLAN_GOAL_W,)
     unit = "s"
     start = torch.inf
     freezes_at_finish: ClassVar[bool] = False
@@ -181,6 +183,8 @@ class TimeWithin(Metric):
         position: Float[Tensor, "n 3"],
         route: Float[Tensor, "n k 3"],
         clock: Float[Tensor, "n 1"],
+        *given: Float[Tensor, "n 3"],  # the goal, if routes are planned again
     ) -> Float[Tensor, "n 1"]:
-        near = distance(route[:, -1], position) <= self.radius_m
+        goal = given[0] if given else route[:, -1]
+        near = distance(goal, position) <= self.radius_m
         return torch.where(near & so_far.isinf(), clock * self.dt_s, so_far)

@@ -20,7 +20,8 @@ class ControlPoints(Term):
 
     The column has radius `radius_m` and half height `half_height_m` (2025 paper); `half_height_m:
     null` makes it a sphere, the rule of the released planner. At most one point is passed per step;
-    past the last, it stays repeated and the route is finished.
+    past the last, it stays repeated and the route is finished. A route without control points leads
+    nowhere: none is passed, and it does not finish.
 
     With `beyond_m`, a point between the first and the last is passed, too, once the vehicle is
     within `beyond_m` of it and past the line that halves the angle of the route there: one that
@@ -70,7 +71,8 @@ class ControlPoints(Term):
             passed = passed | self._beyond(position, route, length, index, self.beyond_m)
         passed = passed & (index < length)
         index = index + passed
-        return index, next_two(route, length, index), target, passed, index >= length
+        finished = (index >= length) & (length > 0)
+        return index, next_two(route, length, index), target, passed, finished
 
     def _reached(self, offset: Float[Tensor, "n 3"]) -> Bool[Tensor, "n 1"]:
         if self.half_height_m is None:
