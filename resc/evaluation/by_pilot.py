@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from resc.errors import RecordingError
+from resc.evaluation.counted import Counted, counted_by
 from resc.evaluation.courses import Course
 from resc.evaluation.planning_calls import Calls, failing, write_calls
 from resc.evaluation.references import Reference, References, crossings, digest
@@ -48,6 +49,11 @@ class Contest:
     def rules_of(self, course: Course) -> Rules:
         """What a course is flown under."""
         return self.rules[course.own_routes]
+
+    @property
+    def counted(self) -> Counted:
+        """What is counted of its flights."""
+        return counted_by(self.rules_of(self.courses[0]).stages)
 
     def of(self, pilot: Pilot) -> "Contest":
         """The same as a pilot flies it, which may find its own way or bring parts of its own."""
@@ -109,7 +115,7 @@ def fly_contest(contest: Contest, pilot: Pilot, folder: Path, title: str) -> Res
     write_calls(calls, folder / CALLS_TABLE)
     led_out = "\n".join(course.led_out for course in courses if course.led_out)
     lost = "\n".join([led_out, failures(reports), failing(calls)]).strip()
-    text = f"{markdown(reports, limits)}\n{lost}".rstrip() + "\n"
+    text = f"{markdown(reports, limits, contest.counted)}\n{lost}".rstrip() + "\n"
     (folder / REPORT).write_text(f"# {title}\n\n{text}")
     return Result(
         pilot=pilot,

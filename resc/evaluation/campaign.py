@@ -26,6 +26,7 @@ from resc.evaluation.by_pilot import (
     fly_contest,
 )
 from resc.evaluation.commanded import Dial, commanded_scenes, dial_of, require_own, turned
+from resc.evaluation.counted import counted_by
 from resc.evaluation.courses import lay_out
 from resc.evaluation.references import files_of, limits_of, read_references
 from resc.evaluation.setting import Rules
@@ -196,6 +197,8 @@ class Evaluation:
         self.check()
         config, scenes, allowed = self.config, self.scenes, self.config["allowed_targets"]
         references = read_references(Path(config["references"]) if config["references"] else None)
+        for rules in self._rules.values():
+            counted_by(rules.stages)
         if self._dial and "clearance_m" not in (config["scene"] or {}):
             scenes = commanded_scenes(scenes, self._dial, self.limits)
         asked, trained = self.asked, self._trained

@@ -184,12 +184,12 @@ def summarise(name: str, table: Columns, redrawn: int | None = None) -> SceneRep
         success_high=high,
         spl=float(of("spl").mean()),
         collision_rate=float(table["collided"].mean()),
-        close_rate=float((of("least_clearance") < table.get("margin", CLOSE_M)).mean()),
+        close_rate=_share_below(of("least_clearance"), table.get("margin", CLOSE_M)),
         outcomes=dict(Counter(table["outcome"].tolist()).most_common()),
         time_span_s=median(of("time_within_half_metre")[arrived]),
         time_within_fifth_s=median(of("time_within_fifth_metre")[arrived]),
         path_length_m=median(of("path_length")[arrived]),
-        planned_length_m=median(table["planned_length"]),
+        planned_length_m=median(table["planned_length"][arrived]),
         energy_m2ps5=median(of("energy")[arrived]),
         time_over_bound=share("time_within_half_metre", "bound"),
         energy_over_smooth=share("energy", "smooth_energy"),
@@ -203,6 +203,11 @@ def summarise(name: str, table: Columns, redrawn: int | None = None) -> SceneRep
         planned_energy_m2ps5=median(of("planned_energy")[arrived]),
         tracking_error_m=float(of("tracking_error").max()),
     )
+
+
+def _share_below(values: Float[np.ndarray, " n"], limit: float | Float[np.ndarray, " n"]) -> float:
+    """The share of values below a limit; NaN where they were not measured."""
+    return float(np.where(np.isnan(values), np.nan, values < limit).mean())
 
 
 def clusters(table: Columns) -> tuple[Int[np.ndarray, " n"], int]:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from resc.evaluation.counted import Counted
 from resc.evaluation.published import PLANNERS, PUBLISHED
 from resc.evaluation.statistics import SceneReport
 from resc.planning.time_optimal import Limits
@@ -43,10 +45,10 @@ PER_SCENE = ("time to", "path", "energy to")
 """Beginnings of the rows that mean nothing over several scenes."""
 NOMINAL = Limits(speed_mps=3.0, acceleration_mps2=6.0, jerk_mps3=20.0, margin_m=0.3)
 """As in conf/limits/point_mass.yaml."""
+USUAL = Counted()
 FOOTNOTES = """\
-Success: the last control point is reached, that is, its column of 0.5 m radius and 0.2 m half
-height is entered. SPL: success weighted by path length, the mean of shortest / max(flown, shortest)
-over all flights, 0 for one that does not arrive; the shortest path is the planned one, up to where
+Success: {arrival}. SPL: success weighted by path length, the mean of shortest / max(flown,
+shortest) over all flights, 0 for one that does not arrive; the shortest path is the planned one, up to where
 a flight arrives. Collision: the centre of mass touches an obstacle. Closer than {margin:g} m: the
 margin was entered, with or without a collision; the paper inflates obstacles by 0.3 m. Flights
 start at rest, within the jitter of the scene's start; scenes that bring their own routes (planned,
@@ -59,8 +61,8 @@ fastest flight found for a point mass from the scene's start, without jitter, wi
 `limits`; smooth reference: the flight that pays a millisecond for a unit of energy. Both are local
 optima, stored by `python -m resc.evaluation.bound`; the ratios are medians over the flights that
 arrive and have one, `-` without. Clearance (centre of mass to obstacle surface), speed,
-acceleration and limits are over all flights; a step is over a limit above {speed:g} m/s,
-{acceleration:g} m/s^2 or 37.5 deg of roll or pitch.
+acceleration and limits are over all flights; a step is over a limit above {limit}
+of roll or pitch.
 """
 MAPS_NOTE = """\
 Maps without a route from start to goal at the clearance of the search are drawn again, no others.
@@ -75,7 +77,9 @@ orders of magnitude.
 """
 
 
-def markdown(reports: Sequence[SceneReport], limits: Limits = NOMINAL) -> str:
+def markdown(
+    reports: Sequence[SceneReport], limits: Limits = NOMINAL, counted: Counted = USUAL
+) -> str:
     """The report as a Markdown table, a column per scene, followed by what its rows mean."""
     rows = [["", *(report.name for report in reports)]]
     drawn = any(report.redrawn is not None for report in reports)
@@ -88,7 +92,7 @@ def markdown(reports: Sequence[SceneReport], limits: Limits = NOMINAL) -> str:
             [f"{planner}, published", *(_published(r, planner) for r in reports)]
             for planner in PLANNERS
         ]
-    text = f"{aligned(rows)}\n{footnotes(limits)}{MAPS_NOTE if drawn else ''}"
+    text = f"{aligned(rows)}\n{footnotes(limits, counted)}{MAPS_NOTE if drawn else ''}"
     return f"{text}\n{PUBLISHED_NOTE}" if compared else text
 
 
@@ -99,11 +103,12 @@ def shown_in(label: str, report: SceneReport) -> str:
     return dict((*ROWS, *OF_MAPS))[label](report)
 
 
-def footnotes(limits: Limits) -> str:
+def footnotes(limits: Limits, counted: Counted) -> str:
     """What the rows mean, under these limits."""
-    return FOOTNOTES.format(
-        margin=limits.margin_m, speed=limits.speed_mps, acceleration=limits.acceleration_mps2
+    text = FOOTNOTES.format(
+        margin=limits.margin_m, arrival=counted.arrival(), limit=counted.limit(limits)
     )
+    return textwrap.fill(" ".join(text.split()), 100, break_on_hyphens=False) + "\n"
 
 
 def failures(reports: Sequence[SceneReport]) -> str:

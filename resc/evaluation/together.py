@@ -89,15 +89,17 @@ def markdown_together(results: Sequence[Result], limits: Limits) -> str:
         for name, cells in {**own, **others}.items():
             rows.append([report.name, name, *(cells.get(title, "") for title in titles)])
     note = NOTE.format(margin=limits.margin_m)
-    text = f"{aligned(rows)}\n{note}{footnotes(limits)}"
+    contest = results[0].contest
+    text = f"{aligned(rows)}\n{note}{footnotes(limits, contest.counted)}"
     if any(report.name in PUBLISHED for report in results[0].reports):
         text = f"{text}{OTHERS_NOTE}{PUBLISHED_NOTE}"
+    led_out = [course.led_out for course in contest.courses if course.led_out]
     lost = [
         f"{result.pilot.name}, {line}"
         for result in results
         for line in [*failures(result.reports).splitlines(), *failing(result.calls).splitlines()]
     ]
-    return "\n".join([text, *lost]).rstrip() + "\n"
+    return "\n".join([text, *led_out, *lost]).rstrip() + "\n"
 
 
 def _cells(result: Result, report: SceneReport) -> dict[str, str]:

@@ -7,8 +7,18 @@ import math
 import pytest
 from test_statistics import table
 
+from resc.errors import ConfigError
+from resc.evaluation.counted import Counted, counted_by
 from resc.evaluation.statistics import report_scenes
-from resc.evaluation.table import failures, markdown, summary, write_flights, write_scenes
+from resc.evaluation.table import (
+    NOMINAL,
+    failures,
+    markdown,
+    summary,
+    write_flights,
+    write_scenes,
+)
+from resc.setup import build_stages
 
 
 @pytest.fixture
@@ -98,3 +108,39 @@ def test_tables_for_programs_read_back(reports, tmp_path):
         flights = list(csv.DictReader(file))
     assert [row["outcome"] for row in flights] == ["success", "success", "contact", "time_limit"]
     assert float(flights[2]["energy"]) == 5000.0
+
+
+def test_the_footnote_names_what_was_counted():
+    counted = Counted(over=(1.0, 2.5, 0.5236), column=(0.65, None), replans=True)
+    text = " ".join(markdown(report_scenes([table("free")]), NOMINAL, counted).split())
+    assert "its sphere of 0.65 m radius is entered; an end that a new route had to move" in text
+    assert "over a limit above 1 m/s, 2.5 m/s^2 or 30 deg of roll or pitch." in text
+    usual = " ".join(markdown(report_scenes([table("free")])).split())
+    assert "its column of 0.5 m radius and 0.2 m half height is entered. SPL" in usual
+    assert "above 3 m/s, 6 m/s^2 or 37.5 deg of roll" in usual
+
+
+def test_what_is_counted_is_what_the_step_counts(compose):
+    usual = build_stages(compose())
+    assert counted_by(usual) == Counted()
+    other = compose("sensor.limit_violations.speed_mps=1", "task.control_points.radius_m=0.8")
+    assert counted_by(build_stages(other)) == Counted((1.0, 6.0, 0.6545), (0.8, 0.2))
+    metric = "+metric.time_within_half_metre"
+    target = "{_target_: resc.terms.metrics.flight.TimeWithin, radius_m: 2.0}"
+    with pytest.raises(ConfigError, match=r"radius_m is 2, but the row of the report is .* 0\.5 m"):
+        counted_by(build_stages(compose(f"{metric}={target}")))
+
+
+def test_what_was_not_measured_is_no_number():
+    lacking = table("free")
+    del lacking["least_clearance"]
+    (report,) = report_scenes([lacking])
+    assert math.isnan(report.close_rate)
+    assert cells(markdown([report]), "closer than 0.3 m [%]") == ["-"]
+
+
+def test_the_planned_path_is_that_of_flights_that_arrive():
+    flown = table("free", planned_length=[5.0, 7.0, 20.0, 22.0])
+    assert flown["success"].tolist() == [True, True, False, False]
+    (report,) = report_scenes([flown])
+    assert report.planned_length_m == 6.0
