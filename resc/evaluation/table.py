@@ -48,21 +48,20 @@ NOMINAL = Limits(speed_mps=3.0, acceleration_mps2=6.0, jerk_mps3=20.0, margin_m=
 USUAL = Counted()
 FOOTNOTES = """\
 Success: {arrival}. SPL: success weighted by path length, the mean of shortest / max(flown,
-shortest) over all flights, 0 for one that does not arrive; the shortest path is the planned one, up to where
-a flight arrives. Collision: the centre of mass touches an obstacle. Closer than {margin:g} m: the
-margin was entered, with or without a collision; the paper inflates obstacles by 0.3 m. Flights
-start at rest, within the jitter of the scene's start; scenes that bring their own routes (planned,
-training, free) are flown under the rules of the training instead. Times, lengths and energy are
-medians over the flights that arrive: time from the start to the first step within 0.5 m (0.2 m) of
-the goal, path and energy up to the success. A flight that never comes within 0.2 m counts as
-endless there; `-` is an endless median, or none. Energy is the integral of squared jerk; jerk is
-the change of the mean acceleration from one control step to the next. Bound: the time of the
-fastest flight found for a point mass from the scene's start, without jitter, within the limits of
-`limits`; smooth reference: the flight that pays a millisecond for a unit of energy. Both are local
-optima, stored by `python -m resc.evaluation.bound`; the ratios are medians over the flights that
-arrive and have one, `-` without. Clearance (centre of mass to obstacle surface), speed,
-acceleration and limits are over all flights; a step is over a limit above {limit}
-of roll or pitch.
+shortest) over all flights, 0 for one that does not arrive; the shortest path is the planned one, up
+to where a flight arrives. Collision: the centre of mass touches an obstacle. Closer than {margin:g}
+m: the margin was entered, with or without a collision; the paper inflates obstacles by 0.3 m.
+Flights start at rest, within the jitter of the scene's start; scenes that bring their own routes
+(planned, training, free) are flown under the rules of the training instead. Times, lengths and
+energy are medians over the flights that arrive: time from the start to the first step within 0.5 m
+(0.2 m) of the goal, path and energy up to the success. A flight that never comes within 0.2 m
+counts as endless there; `-` is an endless median, or none. Energy is the integral of squared jerk;
+jerk is the change of the mean acceleration from one control step to the next. Bound: the time of
+the fastest flight found for a point mass from the scene's start, without jitter, within the limits
+of `limits`; smooth reference: the flight that pays a millisecond for a unit of energy. Both are
+local optima, stored by `python -m resc.evaluation.bound`; the ratios are medians over the flights
+that arrive and have one, `-` without. Clearance (centre of mass to obstacle surface), speed,
+acceleration and limits are over all flights; a step is over a limit above {limit} of roll or pitch.
 """
 MAPS_NOTE = """\
 Maps without a route from start to goal at the clearance of the search are drawn again, no others.
