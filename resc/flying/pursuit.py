@@ -84,13 +84,19 @@ class Pursuit(Pilot):
             stages, attitude_gain_1ps=self.attitude_gain_1ps, yaw_gain_1ps=self.yaw_gain_1ps
         )
         self.start: Tensor | None = None
+        self.route: Tensor | None = None
         self.flown = torch.zeros(flights, 1, device=maps[keys.ESDF].device)
 
     def act(self, world: TensorDictBase, observation: Float[Tensor, "n d"]) -> Float[Tensor, "n 4"]:
         """Body rates and thrust along the route."""
         position, velocity = world[keys.POSITION_W], world[keys.VELOCITY_W]
-        start = self.start = position.clone() if self.start is None else self.start
-        line = torch.cat((start.unsqueeze(1), world[keys.ROUTE_W]), 1)
+        route = world[keys.ROUTE_W]
+        if self.start is None or self.route is None:
+            self.start, self.route = position.clone(), route.clone()
+        new = (route != self.route).flatten(1).any(-1, keepdim=True)  # planned again in flight
+        start = self.start = torch.where(new, position, self.start)
+        self.flown, self.route = torch.where(new, 0.0, self.flown), route.clone()
+        line = torch.cat((start.unsqueeze(1), route), 1)
         at = distances_along(line)
         self.flown = self._progress(position, line, at, world[keys.ROUTE_INDEX])
         aim = points_along(line, at, self.flown + self.lookahead_m)[:, 0] - position

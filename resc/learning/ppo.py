@@ -52,8 +52,8 @@ class Ppo(Algorithm):
         initial_std: Standard deviation of the actions at the start, in action units.
         init_from_std: The same where training begins with the weights of `init_from`; null keeps
             theirs, with which a trained policy hardly explores.
-        target_kl: Skips the rest of a batch's epochs once the policy has moved this far; null never
-            does.
+        target_kl: Skips the rest of a batch's epochs once the policy has moved this far, in the
+            mean of an epoch; null never does.
         schedule: Of the learning rate between the two: linear, or geometric (by the same factor
             after every batch).
     """
@@ -155,10 +155,12 @@ class Ppo(Algorithm):
             order = torch.randperm(len(samples), generator=self.order, device=self.order.device)
             chosen = samples[order[:whole]]
             moments = self._shared_moments(chosen, size)
+            before, counted = sums.clone(), count
             for minibatch, shared in zip(chosen.split(size), moments, strict=True):
                 sums += self._gradient_step(minibatch, shared, rate)
                 count += 1
-            if self.target_kl and float(sums[3] / count) > self.target_kl:
+            moved = (sums - before)[3] / (count - counted)
+            if self.target_kl and float(moved) > self.target_kl:
                 break
         policy, value, entropy, kl, clipped = (sums / count).tolist()
         if not policy + value < float("inf"):
@@ -323,9 +325,10 @@ class Ppo(Algorithm):
                 f"minibatch is {self.minibatch}, more than a batch of {self.steps} steps x "
                 f"{envs} environments; lower it."
             )
-        if self.remembers and self.minibatch < self.steps * ranks.count():
+        if self.remembers and self.minibatch % (self.steps * ranks.count()):
             each = f" in each of {ranks.count()} processes" if ranks.count() > 1 else ""
             raise ConfigError(
                 f"minibatch is {self.minibatch}, but a policy that remembers learns from whole "
-                f"sequences of {self.steps} steps{each}; raise it."
+                f"sequences of {self.steps} steps{each}; give a multiple of "
+                f"{self.steps * ranks.count()}."
             )

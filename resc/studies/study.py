@@ -194,7 +194,10 @@ def _read_run(folder: Path, variant: str, overrides: tuple[str, ...]) -> Run:
 
 
 def _seed_of(folder: Path, overrides: Sequence[str]) -> int:
-    """The seed that a run was trained with."""
+    """The seed that a run was, or is to be, trained with."""
+    stored = load_config(folder / CONFIG) if (folder / CONFIG).is_file() else {}
+    if SEED in stored:
+        return int(stored[SEED])
     seeds = [value for key, value in map(split_override, overrides) if key == SEED]
     try:
         return int(seeds[-1]) if seeds else 0

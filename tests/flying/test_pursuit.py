@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.testing import assert_close
 
+from resc import keys
 from resc.errors import ConfigError
 from resc.flying.flights import fly
 from resc.flying.pursuit import Pursuit
@@ -48,6 +50,27 @@ def test_half_the_turn_and_room_beside_it():
     half, room = turns(CORNER)
     assert_close(half, torch.tensor([[math.pi / 4, 0.0]]))
     assert room[0, 0] == 1.0
+
+
+def test_a_route_that_is_planned_again_is_followed_from_where_the_vehicle_is(make_stages):
+    def world(position, route):
+        state = {"position_w": position, "velocity_w": [0.0, 0.0, 0.0]}
+        state |= {"attitude_wb": [1.0, 0.0, 0.0, 0.0], "body_rate_b": [0.0, 0.0, 0.0]}
+        tensors = {("state", key): torch.tensor([value]) for key, value in state.items()}
+        tensors |= {keys.ROUTE_W: torch.tensor([route]), keys.ROUTE_INDEX: torch.tensor([[0]])}
+        return TensorDict(tensors, [1])
+
+    onward = [[6.0, 0.0, 1.0], [8.0, 0.0, 1.0]]
+    aside = [[3.0, 3.0, 1.0], [3.0, 6.0, 1.0]]
+    stages, nothing = make_stages(), torch.zeros(1, 0)
+    fresh, flying = (Pursuit().named("pursuit") for _ in range(2))
+    for pilot in (fresh, flying):
+        pilot.begin(1, stages, {keys.ESDF: torch.zeros(1, 1, 1)})
+    for x in (0.0, 1.0, 2.0, 3.0):
+        flying.act(world([x, 0.0, 1.0], onward), nothing)
+    assert float(flying.flown) == 3.0
+    there = world([3.0, 0.0, 1.0], aside)
+    assert_close(flying.act(there, nothing), fresh.act(there, nothing))
 
 
 def test_action_commands_what_was_asked(make_stages):

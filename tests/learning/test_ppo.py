@@ -94,6 +94,20 @@ def test_a_weight_that_the_loss_does_not_depend_on_stays(trainer):
     assert not torch.equal(weights(trainer), before)
 
 
+def test_epochs_stop_by_how_far_the_last_one_moved_the_policy(compose, monkeypatch):
+    own = ("algorithm.target_kl=0.02", "algorithm.epochs=4", "algorithm.minibatch=64")
+    trainer = TrainingRun(compose(*SMALL, *own)).trainer()
+    steps = []
+
+    def step(*_):
+        steps.append(0.0 if len(steps) < 2 else 0.03)  # two minibatches an epoch
+        return torch.tensor([0.0, 0.0, 0.0, steps[-1], 0.0])
+
+    monkeypatch.setattr(trainer.algorithm, "_gradient_step", step)
+    trainer.iterate()
+    assert steps == [0.0, 0.0, 0.03, 0.03]  # their mean is below the target
+
+
 def test_same_seed_gives_the_same_weights_bit_for_bit(compose):
     first, second = (TrainingRun(compose(*SMALL)).trainer() for _ in range(2))
     for _ in range(2):

@@ -112,6 +112,12 @@ def test_failed_and_unfinished_runs_are_listed_and_not_counted(sweep):
     assert "| none | 0" not in report.partition("## Runs")[0]
 
 
+def test_the_seed_of_a_run_is_that_of_its_configuration(tmp_path):
+    overrides = ("+experiment=mine", "obstacle_observation=none")  # mine.yaml says seed: 7
+    make_run(tmp_path / "sweep" / "0", *overrides, success=GOOD, seed=7)
+    assert [run.seed for run in read_sweep(tmp_path / "sweep").runs] == [7]
+
+
 def test_other_baseline_by_name(sweep):
     assert analyse(read_sweep(sweep), "none").results[0].improvement.value == 0.75
     with pytest.raises(ConfigError, match=r"no variant 'nothing'.*Available: kgp_esdf, none"):
