@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from resc.evaluation.entrants import KEYS, MEASURES, Entrant, differences
+from resc.evaluation.map_ids import REDRAWN
 from resc.evaluation.paired import ALL, Contrast, Shared, scenes_in
 from resc.evaluation.table import aligned
 from resc.math.bootstrap import DRAWS, Estimate
@@ -67,6 +68,12 @@ def sentences(entrants: Sequence[Entrant], shared: Shared) -> list[str]:
                 "all of the others flew that scene and map from that start along that route."
             )
     first = entrants[0]
+    for other, count in zip(entrants[1:], shared.other_maps[1:], strict=True):
+        if count:
+            told.append(
+                f"Maps of {other.name} that differ from those of {first.name} under the same "
+                f"number, and are left out: {count} ({REDRAWN})."
+            )
     for other in entrants[1:]:
         if found := differences(first.rules, other.rules):
             told.append(

@@ -11,6 +11,7 @@ from polars.exceptions import PolarsError
 from resc.build import load_config
 from resc.errors import ConfigError
 from resc.evaluation.by_pilot import FLIGHTS_TABLE
+from resc.evaluation.map_ids import MAP_ID
 from resc.groups import GROUPS, OWN_ENV
 from resc.run_folder import CONFIG, EPISODES, SUMMARY, is_evaluated, summary_of
 from resc.scenes.layout import PARKED_M
@@ -32,9 +33,10 @@ class Entrant:
         name: What it is called.
         folder: With its table and its recordings.
         is_run: Whether they are the held-out episodes of a training run.
-        flights: A row each: `KEYS`, `mark` (equal where start and route are), `outcome`,
-            `success`, `collided`, `time` [s], `energy` [m^2/s^5], `clearance` [m], `steps` and
-            `counted`, those up to the finish; null where there is no number.
+        flights: A row each: `KEYS`, `mark` (equal where start and route are), `map_id` (equal
+            where obstacles are, null where it is not known), `outcome`, `success`, `collided`,
+            `time` [s], `energy` [m^2/s^5], `clearance` [m], `steps` and `counted`, those up to the
+            finish; null where there is no number.
         rules: What they were flown under, with the seed of scenes and starts.
         told: Policy and commit, for the report.
     """
@@ -218,11 +220,12 @@ def _of_evaluation(table: pl.DataFrame, path: Path) -> pl.DataFrame:
     _require(
         table, path, "scene", "flight", "outcome", "success", "collided", "steps", "planned_length"
     )
-    zero = pl.lit(0, pl.Int64)
+    zero, unknown = pl.lit(0, pl.Int64), pl.lit(None, pl.String)
     return table.select(
         "scene",
         (pl.col("map") if "map" in table.columns else zero).alias("map"),
         pl.col("planned_length").round_sig_figs(6).cast(pl.String).alias("mark"),
+        (pl.col(MAP_ID) if MAP_ID in table.columns else unknown).alias(MAP_ID),
         "outcome",
         _flag("success"),
         _flag("collided"),
@@ -246,6 +249,7 @@ def _of_run(table: pl.DataFrame, path: Path, *, dt_s: float) -> pl.DataFrame:
         pl.lit(HELD_OUT_SCENE).alias("scene"),
         pl.col("scene").cast(pl.Int64).alias("map"),
         pl.format("{} {}", "obstacles", "density").alias("mark"),
+        pl.lit(None, pl.String).alias(MAP_ID),
         "outcome",
         pl.col("success") == 1,
         pl.col("collided") == 1,

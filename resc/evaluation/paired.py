@@ -11,6 +11,7 @@ from scipy.stats import binomtest
 
 from resc.errors import ConfigError
 from resc.evaluation.entrants import KEYS, MEASURES, Entrant
+from resc.evaluation.map_ids import MAP_ID
 from resc.evaluation.statistics import clusters, effective_flights, wilson_interval
 from resc.math.bootstrap import DRAWS, NOTHING, Estimate, estimate, generator
 
@@ -25,12 +26,15 @@ class Shared:
     """The flights that all entrants flew from the same start along the same route.
 
     Args:
-        table: `KEYS` and `mark`, and of every entrant the columns of `NAMED`.
+        table: `KEYS`, `mark` and `map_id`, and of every entrant the columns of `NAMED`.
         left_out: Of every entrant, how many of its flights have no equal elsewhere.
+        other_maps: Of every entrant, how many of its maps are not those of the first under the same
+            number.
     """
 
     table: pl.DataFrame
     left_out: tuple[int, ...]
+    other_maps: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class Contrast:
 
 
 def share(entrants: Sequence[Entrant]) -> Shared:
-    """Pairs flights by scene, map and start, where start and route are the same for all.
+    """Pairs flights by scene, map and start, where map, start and route are the same for all.
 
     Raises:
         ConfigError: They have different seeds, or no flight in common.
@@ -72,13 +76,29 @@ def share(entrants: Sequence[Entrant]) -> Shared:
     table = _numbered(first, 0)
     for number, other in enumerate(entrants[1:], start=1):
         table = table.join(_numbered(other, number), on=on, how="inner", maintain_order="left")
+        ours, theirs = pl.col(MAP_ID), pl.col(f"{MAP_ID}_right")
+        table = table.filter((ours == theirs).fill_null(True)).with_columns(
+            pl.coalesce(ours, theirs)
+        )
+        table = table.drop(f"{MAP_ID}_right")
         if table.is_empty():
             raise ConfigError(
                 f"{other.name} and {first.name} have no flight of the same scene, map, start and "
                 "route in common; fly one of them again with the scenes and the search of the "
                 "other."
             )
-    return Shared(table, tuple(len(entrant.flights) - len(table) for entrant in entrants))
+    return Shared(
+        table,
+        tuple(len(entrant.flights) - len(table) for entrant in entrants),
+        tuple(_other_maps(first, entrant) for entrant in entrants),
+    )
+
+
+def _other_maps(first: Entrant, other: Entrant) -> int:
+    """How many maps are not the same under the same number."""
+    both = first.flights.join(other.flights, on=KEYS)
+    differ = both.filter(pl.col(MAP_ID) != pl.col(f"{MAP_ID}_right"))
+    return differ.select("scene", "map").n_unique()
 
 
 def _numbered(entrant: Entrant, number: int) -> pl.DataFrame:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from resc.evaluation.courses import Course
+from resc.evaluation.map_ids import MAP_ID, map_ids
 from resc.evaluation.references import Reference
 from resc.flying.flights import Flights
 from resc.planning.time_optimal import Limits
@@ -89,6 +90,7 @@ def tabulate(
         "scene": np.full(len(flights), course.name),
         "flight": np.arange(len(flights)),
         "map": course.number,
+        MAP_ID: map_ids(course.layout),
         "outcome": np.array(flights.names),
         "success": success,
         "collided": flights.collided.numpy(),

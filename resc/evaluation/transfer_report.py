@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 
 from resc.evaluation.by_pilot import FLIGHTS_TABLE
+from resc.evaluation.map_ids import REDRAWN, other_maps, same_maps
 from resc.evaluation.statistics import clusters, effective_flights, median, wilson_interval
 from resc.evaluation.table import aligned
 from resc.viewing.colours import BOUND, COLLISION, FRAME, TEXT
@@ -32,11 +33,12 @@ HEADER = (
     "least [m]",
 )
 NOTE = """\
-All conditions are flown from the same starts on the same maps. Time / nominal: median over the
-flights that arrive under both conditions, each divided by itself under the nominal one. Time /
-bound: median over those that arrive and have a reference. Closer: than the margin asked of the
-flight. Clearance: centre of mass to obstacle surface, least along each flight. Flights of one map
-are alike, so the interval counts as many independent ones as would tell as much.
+All conditions are flown from the same starts on the same maps, unless it says otherwise below.
+Time / nominal: median over the flights that arrive under both conditions, each divided by itself
+under the nominal one. Time / bound: median over those that arrive and have a reference. Closer:
+than the margin asked of the flight. Clearance: centre of mass to obstacle surface, least along each
+flight. Flights of one map are alike, so the interval counts as many independent ones as would tell
+as much.
 """
 
 
@@ -91,10 +93,11 @@ def read_flown(folder: Path, title: str) -> Flown:
 
 
 def line_of(flown: Flown, nominal: Flown) -> Line:
-    """The numbers of a condition, beside the nominal one, flight by flight."""
-    success = flown.success
+    """The numbers of a condition, beside the nominal one, flight by flight on the same maps."""
+    success, same = flown.success, _same(flown, nominal)
     time_s, nominal_s = (each.numbers("time_within_half_metre") for each in (flown, nominal))
-    both, over_bound = success & nominal.success, time_s / flown.numbers("bound")
+    both, over_bound = success & nominal.success & same, time_s / flown.numbers("bound")
+    gain = success.astype(float) - nominal.success
     own = {name: np.asarray(column) for name, column in flown.columns.items()}
     independent = effective_flights(success, clusters(own)[0])
     low, high = wilson_interval(float(success.mean()) * independent, independent)
@@ -106,7 +109,7 @@ def line_of(flown: Flown, nominal: Flown) -> Line:
         success=float(success.mean()),
         low=low,
         high=high,
-        to_nominal=float(success.mean() - nominal.success.mean()),
+        to_nominal=float(gain[same].mean()) if same.any() else np.nan,
         time_to_nominal=median((time_s / nominal_s)[both]),
         time_over_bound=median(over_bound[success & ~np.isnan(over_bound)]),
         closer=float((clearance_m < flown.numbers("margin")).mean()),
@@ -123,9 +126,26 @@ def write_transfer(flown: Sequence[Flown], folder: Path) -> str:
         writer.writerow(field.name for field in fields(Line))
         writer.writerows(astuple(line) for line in lines)
     text = f"{aligned([list(HEADER), *map(_cells, lines)])}\n{NOTE}"
+    text += "".join(_told_of_maps(each, flown[0]) for each in flown)
     (folder / REPORT).write_text(f"# Under other conditions\n\n{text}")
     draw_transfer(lines, folder / PICTURE)
     return text
+
+
+def _same(flown: Flown, nominal: Flown) -> Bool[np.ndarray, " n"]:
+    """Which flights are on the map of the nominal one."""
+    return same_maps([nominal.columns, flown.columns])
+
+
+def _told_of_maps(flown: Flown, nominal: Flown) -> str:
+    """What to say of maps that are not those of the nominal condition; nothing if all are."""
+    others = other_maps([nominal.columns, flown.columns], _same(flown, nominal))
+    if not others:
+        return ""
+    return (
+        f"{flown.title}: {others} are not those of the nominal condition, as {REDRAWN}; points to "
+        "nominal and time / nominal are of the others.\n"
+    )
 
 
 def _cells(line: Line) -> list[str]:
@@ -136,7 +156,7 @@ def _cells(line: Line) -> list[str]:
         str(line.flights),
         percent[0],
         f"{percent[1]}-{percent[2]}",
-        f"{100 * line.to_nominal:+.1f}",
+        f"{100 * line.to_nominal:+.1f}" if np.isfinite(line.to_nominal) else "-",
         _ratio(line.time_to_nominal),
         _ratio(line.time_over_bound),
         f"{100 * line.closer:.1f}",

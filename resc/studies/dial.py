@@ -4,7 +4,7 @@ python evaluate.py -m policy=policies/dial limits.speed_mps=1.5,2,3,4 limits.mar
 
 flies the settings, one run each. This reads the runs and writes dial.md, dial.csv and dial.png into
 their folder `report`: success and clearance against time, and whether faster settings are faster
-and larger margins larger.
+and larger margins larger. Maps that are not the same in all runs are left out.
 """
 
 import argparse
@@ -21,29 +21,13 @@ from omegaconf import DictConfig
 
 from resc.build import load_config
 from resc.errors import ConfigError, RescError
+from resc.evaluation.map_ids import REDRAWN, other_maps, same_maps
 from resc.evaluation.statistics import Columns, median, summarise
 from resc.evaluation.table import aligned
 from resc.run_folder import CONFIG, SUMMARY, summary_of
+from resc.studies.flight_tables import FLIGHTS, read_flights, rows_of
 
-FLIGHTS = "flights.csv"
 REPORT = "report"
-TEXTS, FLAGS = ("scene", "outcome"), ("success", "collided")
-"""Columns of a table of flights that are not numbers, and those that are true or false."""
-NEEDED = (
-    *TEXTS,
-    *FLAGS,
-    "flight",
-    "planned_length",
-    "bound",
-    "time_within_half_metre",
-    "path_length",
-    "least_clearance",
-    "top_speed",
-    "counted_steps",
-    "steps_over_limit",
-    "speed_limit",
-    "margin",
-)
 SAME = ("policy", "seed")
 """Settings that the runs have to share, beside the scenes that they fly."""
 NOMINAL_MPS = 3.0
@@ -89,10 +73,14 @@ class Setting:
 
 @dataclass(frozen=True)
 class Dialled:
-    """The settings, ordered by margin and speed, and what `Setting.time` is measured by."""
+    """The settings, ordered by margin and speed, and what `Setting.time` is measured by.
+
+    `left_out` says which maps are not the same in all runs, nothing if all are.
+    """
 
     settings: tuple[Setting, ...]
     bounded: bool
+    left_out: str = ""
 
     @property
     def time_label(self) -> str:
@@ -117,8 +105,8 @@ def read_dial(folder: Path) -> Dialled:
     """The settings that the runs of a folder flew.
 
     Raises:
-        ConfigError: There is no finished run, runs differ in more than their limits, or a file is
-            damaged.
+        ConfigError: There is no finished run, runs differ in more than their limits or have no map
+            in common, or a file is damaged.
     """
     runs = sorted(path.parent for path in folder.glob(f"*/{SUMMARY}") if _is_evaluation(path))
     if not runs:
@@ -129,6 +117,14 @@ def read_dial(folder: Path) -> Dialled:
     configs = [load_config(run / CONFIG) for run in runs]
     tables = [read_flights(run / FLIGHTS) for run in runs]
     _require_alike(folder, runs, configs, tables)
+    same = same_maps(tables)
+    if not same.any():
+        raise ConfigError(
+            f"{folder} holds runs without a map in common, as {REDRAWN}; fly all with the same "
+            "search.clearance_m."
+        )
+    left_out = other_maps(tables, same)
+    tables = [rows_of(table, same) for table in tables]
     yardstick = _yardstick(tables)
     bounded = yardstick is not None
     settings = [_setting(table, yardstick) for table in tables]
@@ -139,28 +135,7 @@ def read_dial(folder: Path) -> Dialled:
                 f"{folder} holds two runs at {one.speed_mps:g} m/s and {one.margin_m:g} m; give "
                 "the folder of one sweep over limits.speed_mps and limits.margin_m."
             )
-    return Dialled(tuple(order), bounded)
-
-
-def read_flights(path: Path) -> dict[str, np.ndarray]:
-    """The table of flights that an evaluation wrote, a column each.
-
-    Raises:
-        ConfigError: It is missing, cut, or of before the limits were in it.
-    """
-    try:
-        text = path.read_text()
-        header, *rows = csv.reader(text.splitlines())
-        if not text.endswith("\n") or not rows or any(len(row) != len(header) for row in rows):
-            raise ValueError("a row is cut")
-        columns = dict(zip(header, map(np.array, zip(*rows, strict=True)), strict=True))
-        if missing := [name for name in NEEDED if name not in columns]:
-            raise ValueError(f"no column {missing[0]}")
-        return {name: _typed(name, column) for name, column in columns.items()}
-    except (OSError, ValueError, csv.Error) as error:
-        raise ConfigError(
-            f"{path} is missing, cut or damaged ({error}); fly the evaluation again."
-        ) from None
+    return Dialled(tuple(order), bounded, left_out)
 
 
 def write_report(folder: Path) -> Path:
@@ -206,6 +181,11 @@ def markdown(dialled: Dialled) -> str:
         "distance of the centre of mass to a surface) are medians over all flights."
         + (" The last columns are success by scene [%]." if len(scenes) > 1 else "")
     )
+    if dialled.left_out:
+        notes += (
+            f"\nLeft out: {dialled.left_out}, which are not the same in all runs: {REDRAWN}. With "
+            "one search.clearance_m for all runs they are."
+        )
     return f"{aligned(rows)}\n{notes}\n\n{chr(10).join(verdicts(dialled))}\n"
 
 
@@ -296,12 +276,6 @@ def _setting(table: Columns, yardstick: Float[np.ndarray, " f"] | None) -> Setti
         over_limit=report.over_limit_share,
         of_scenes={name: float(table["success"][table["scene"] == name].mean()) for name in scenes},
     )
-
-
-def _typed(name: str, column: np.ndarray) -> np.ndarray:
-    if name in TEXTS:
-        return column
-    return column == "True" if name in FLAGS else column.astype(np.float64)
 
 
 def _write_numbers(dialled: Dialled, path: Path) -> None:

@@ -59,12 +59,16 @@ folder, under scores/<suite>.
 
 @dataclass(frozen=True)
 class Score:
-    """What the policy of one run does in one suite; NaN where no flight has a number."""
+    """What the policy of one run does in one suite; NaN where no flight has a number.
+
+    `left_out` says which maps are not the same for all runs, nothing if all are.
+    """
 
     run: Run
     suite: str
     flights: int
     values: dict[str, float]
+    left_out: str = ""
 
 
 def read_score(folder: Path, run: Run, suite: str) -> Score:
@@ -124,7 +128,8 @@ def markdown(sweep: Sweep, scores: Sequence[Score]) -> str:
             if own:
                 seeds = ", ".join(str(score.run.seed) for score in own)
                 rows.append([variant, seeds, *(_cell(column, own) for column in COLUMNS)])
-        parts.append(f"## {suite}\n\n{aligned(rows)}")
+        told = next((s.left_out for s in scores if s.suite == suite and s.left_out), "")
+        parts.append(f"## {suite}\n\n{aligned(rows)}" + (f"\n{told}\n" if told else ""))
     missing = [run for run in sweep.runs if run.episodes is None]
     if missing:
         told = [f"- run {r.number} ({r.variant}, seed {r.seed}): {r.reason}" for r in missing]

@@ -5,7 +5,8 @@ python -m resc.studies.scores runs/latest_sweep 'suite=[paper,forest,field]' map
 
 Any override of evaluate.py is taken but policy, pilot, replay and the folder. An evaluation of
 every finished run is left in <run>/scores/<suite>; one that is there already, of the same policy,
-settings and references, is not flown again. The report is in <sweep>/report.
+settings and references, is not flown again. The report is in <sweep>/report, over the maps that
+are the same for all runs.
 """
 
 import shutil
@@ -31,7 +32,8 @@ from resc.starting.answers import answering
 from resc.starting.composed import compose_scenes, given, suites
 from resc.starting.launch import SHOWING, launch_here
 from resc.studies.score_report import Score, read_score, write_scores
-from resc.studies.study import Sweep, read_sweep
+from resc.studies.shared_scores import on_same_maps
+from resc.studies.study import Run, Sweep, read_sweep
 
 SCORES, REPORT = "scores", "report"
 SINGLE = "scenes"
@@ -65,6 +67,8 @@ class Scoring:
         chosen = list(self.evaluations())
         with logged(self.folder / "scores.log"):
             scores = list(fly_sweep(sweep, chosen, given()))
+            folders = {(s.run.number, s.suite): folder_of(sweep, s.run, s.suite) for s in scores}
+            scores = on_same_maps(scores, folders)
             print(write_scores(sweep, scores, self.folder))
 
     def evaluations(self) -> Iterator[Flown]:
@@ -94,7 +98,7 @@ def fly_sweep(sweep: Sweep, chosen: Sequence[Flown], overrides: Sequence[str]) -
     total = len(runs) * len(chosen)
     for number, run in enumerate(runs):
         for place, (suite, settings, scenes) in enumerate(chosen, start=1):
-            folder = sweep.folder / str(run.number) / SCORES / suite
+            folder = folder_of(sweep, run, suite)
             own = {**settings, "policy": str(sweep.folder / str(run.number))}
             policy = load_policy(Path(own["policy"]), own["device"], own["allowed_targets"])
             there = _fly(Evaluation(own, policy, scenes, overrides), folder)
@@ -106,6 +110,11 @@ def fly_sweep(sweep: Sweep, chosen: Sequence[Flown], overrides: Sequence[str]) -
                 f"{score.values['success_rate']:.1%} succeed, {told}"
             )
             yield score
+
+
+def folder_of(sweep: Sweep, run: Run, suite: str) -> Path:
+    """Where the evaluation of a run in a suite is left."""
+    return sweep.folder / str(run.number) / SCORES / suite
 
 
 def _fly(evaluation: Evaluation, folder: Path) -> bool:

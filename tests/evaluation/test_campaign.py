@@ -204,6 +204,9 @@ def test_suite_counts_its_maps_and_draws_the_worst(evaluation, policy, tmp_path)
     with (tmp_path / "flights.csv").open() as file:
         flights = list(csv.DictReader(file))
     assert [row["map"] for row in flights] == ["0", "0", "1", "1", "2", "2"]
+    ids = [row["map_id"] for row in flights]
+    assert ids[::2] == ids[1::2]
+    assert len(set(ids)) == 3
     assert all(0 <= float(row["spl"]) <= 1 for row in flights)
     scene = json.loads((tmp_path / "summary.json").read_text())["scenes"]["grove"]
     assert (scene["maps"], scene["redrawn"], scene["episodes"]) == (3, 0, 6)

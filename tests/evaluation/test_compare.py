@@ -99,6 +99,43 @@ def test_flights_of_another_route_are_left_out(tmp_path):
     assert "1 of the 2 flights of b are left out: not all of the others flew that scene" in text
 
 
+def with_map_ids(folder, *ids):
+    path = folder / "flights.csv"
+    pl.read_csv(path).with_columns(map_id=pl.Series(ids)).write_csv(path)
+    return folder
+
+
+def test_flights_on_another_map_of_the_same_number_are_left_out(tmp_path):
+    """Their planned paths are equally long all the same: they may be straight."""
+    maps = [0, 0, 1, 2]
+    ours = make_evaluation(tmp_path / "a", [4.0, 4.0, 5.0, 6.0], maps=maps)
+    theirs = make_evaluation(tmp_path / "b", [4.5, 4.5, 7.0, 6.5], maps=maps)
+    with_map_ids(ours, "m1", "m1", "m2", "m3")
+    with_map_ids(theirs, "m1", "m1", "m4", "m3")
+    _, shared = compared(ours, theirs)
+    assert shared.table["map"].to_list() == [0, 0, 2]
+    assert (shared.left_out, shared.other_maps) == ((1, 1), (0, 1))
+    text = write_comparison(*compared(ours, theirs), tmp_path / "c")
+    assert (
+        "Maps of b that differ from those of a under the same number, and are left out: 1" in text
+    )
+    with_map_ids(theirs, "m5", "m5", "m6", "m7")
+    with pytest.raises(ConfigError, match="b and a have no flight of the same scene, map, start"):
+        compared(ours, theirs)
+
+
+def test_a_table_of_before_the_maps_were_told_apart_is_compared_as_before(tmp_path):
+    older = make_evaluation(tmp_path / "a", [4.0, 5.0], maps=[0, 1])
+    newer = make_evaluation(tmp_path / "b", [4.5, 5.5], maps=[0, 1])
+    other = make_evaluation(tmp_path / "c", [4.5, 5.5], maps=[0, 1])
+    with_map_ids(newer, "m1", "m2")
+    with_map_ids(other, "m1", "m3")
+    _, shared = compared(older, newer)
+    assert (shared.left_out, shared.other_maps) == ((0, 0), (0, 0))
+    _, three = compared(older, newer, other)
+    assert three.table["map"].to_list() == [0]
+
+
 def test_starts_are_counted_on_their_map(tmp_path):
     """Of two flights on each of two maps, the first ones are those of one flight on each."""
     two = make_evaluation(tmp_path / "a", [1.0, 2.0, 3.0, 4.0], maps=[0, 0, 1, 1])

@@ -6,7 +6,10 @@ import torch
 
 from resc.errors import ConfigError, PlanningError
 from resc.evaluation.courses import lay_out
+from resc.evaluation.map_ids import map_ids
 from resc.evaluation.suites import Amount
+from resc.planning.route import planner_for
+from resc.scenes.layout import PARKED_M
 
 FREE = {"_target_": "resc.scenes.training.TrainingScene", "boxes": 0}
 BOXES = {"_target_": "resc.scenes.random_boxes.RandomBoxes", "boxes": 40, "jitter_m": 0.1}
@@ -130,3 +133,32 @@ def test_forest_that_has_no_room_names_its_scene(planner):
 def test_maps_of_a_scene_that_draws_none_are_refused(planner):
     with pytest.raises(ConfigError, match="maps is 3, but scene forest draws no maps"):
         on_maps(planner, 3, 1, FREE)
+
+
+def test_maps_that_are_drawn_again_for_a_clearance_have_another_id(planner, stored):
+    """Whatever else is in the batch; the number is the same."""
+    wide = planner_for(
+        search={**stored["search"], "clearance_m": 0.45}, task=stored["task"], env=stored["env"]
+    )
+    near, far = (on_maps(each, 6, 2, CROWDED)[0] for each in (planner, wide))
+    np.testing.assert_array_equal(near.number, far.number)
+    same = map_ids(near.layout) == map_ids(far.layout)
+    pillars = [
+        [row[row[:, 0] < PARKED_M / 2].tolist() for row in course.layout.pillars_w]
+        for course in (near, far)
+    ]
+    assert same.tolist() == [one == other for one, other in zip(*pillars, strict=True)]
+    assert 0 < same.sum() < len(same)
+    few = map_ids(on_maps(planner, 2, 3, CROWDED)[0].layout)
+    assert few.tolist() == np.repeat(map_ids(near.layout)[[0, 2]], 3).tolist()
+
+
+def test_an_obstacle_that_moves_a_millimetre_is_another_map(corridor):
+    one, again = (corridor(2) for _ in range(2))
+    moved = corridor(2, boxes=[[0.0, 3.0, 6.0, 0.5], [2.501, 0.0, 0.5, 1.5]])
+    wider = corridor(2, size_m=[6.5, 4.0])
+    ids = [map_ids(course.layout).tolist() for course in (one, again, moved, wider)]
+    assert all(first == second for first, second in ids)
+    assert ids[0] == ids[1]
+    assert len({first for first, _ in ids}) == 3
+    assert ids[0][0][0] == "m"

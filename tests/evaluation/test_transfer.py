@@ -62,6 +62,24 @@ def test_times_are_compared_flight_by_flight_where_both_arrive():
     assert (line.closer, line.least_clearance_m) == (0.5, -0.01)
 
 
+def on_maps(flown, *ids):
+    numbers = {"map": np.arange(4).astype(str), "map_id": np.array(ids)}
+    return Flown(flown.name, flown.title, {**flown.columns, **numbers})
+
+
+def test_only_flights_on_the_same_map_are_compared(tmp_path):
+    nominal = on_maps(NOMINAL, "m1", "m2", "m3", "m4")
+    other = on_maps(OTHER, "m1", "m5", "m6", "m4")
+    line = line_of(other, nominal)
+    assert (line.success, line.to_nominal) == (0.75, 0.0)
+    assert line.time_to_nominal == pytest.approx(1.05)  # of 1.2 and 0.9
+    text = write_transfer([nominal, other], tmp_path)
+    assert "Other: 2 of 4 maps of a are not those of the nominal condition" in text
+    strange = on_maps(OTHER, "m7", "m8", "m9", "m0")
+    row = next(x for x in write_transfer([nominal, strange], tmp_path).splitlines() if "Other" in x)
+    assert [cell.strip() for cell in row.split("|")][5:7] == ["-", "-"]
+
+
 def test_report_table_and_picture_hold_every_condition(tmp_path):
     text = write_transfer([NOMINAL, OTHER], tmp_path)
     row = next(line for line in text.splitlines() if line.startswith("| Other"))

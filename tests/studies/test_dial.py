@@ -127,6 +127,38 @@ def test_runs_of_other_flights_are_refused(sweep):
         read_dial(sweep)
 
 
+def on_maps(*ids):
+    return {"map": [0, 1, 0, 1], "map_id": ids}
+
+
+def test_maps_that_are_not_the_same_in_all_runs_are_left_out(tmp_path):
+    """The bound of the second flight is of another map than the one that the other run flew."""
+    wide = {"bound": ["nan"] * FLIGHTS, "time_within_half_metre": [4.0, 9.0, 4.0, 9.0]}
+    near = flights_of(3.0, 0.3, **on_maps("m1", "m2", "m3", "m4"))
+    write_run(tmp_path, 0, {**near, "bound": [2.0, 3.0, 2.0, 3.0]})
+    write_run(tmp_path, 1, {**flights_of(3.0, 0.4, **on_maps("m1", "m5", "m3", "m6")), **wide})
+    dialled = read_dial(tmp_path)
+    assert [setting.flights for setting in dialled.settings] == [2, 2]
+    assert dialled.settings[1].time == pytest.approx(2.0)
+    assert dialled.settings[1].success == 1.0
+    text = write_report(tmp_path).read_text()
+    assert "Left out: 1 of 2 maps of one, 1 of 2 maps of two, which are not the same" in text
+
+
+def test_runs_without_a_map_in_common_are_refused(tmp_path):
+    write_run(tmp_path, 0, flights_of(3.0, 0.3, **on_maps("m1", "m2", "m3", "m4")))
+    write_run(tmp_path, 1, flights_of(3.0, 0.4, **on_maps("m5", "m6", "m7", "m8")))
+    with pytest.raises(ConfigError, match="holds runs without a map in common, as a map without"):
+        read_dial(tmp_path)
+
+
+def test_an_older_table_agrees_with_any_map(sweep):
+    write_run(sweep, 9, flights_of(4.0, 0.2, **on_maps("m1", "m2", "m3", "m4")))
+    dialled = read_dial(sweep)
+    assert {setting.flights for setting in dialled.settings} == {FLIGHTS}
+    assert dialled.left_out == ""
+
+
 def test_two_runs_at_one_setting_are_refused(sweep):
     write_run(sweep, 7, flights_of(3.0, 0.4))
     with pytest.raises(ConfigError, match=r"holds two runs at 3 m/s and 0\.4 m"):

@@ -14,8 +14,9 @@ from omegaconf import OmegaConf
 from resc.errors import ConfigError
 from resc.learning.training_run import TrainingRun
 from resc.setup import build_stages
-from resc.studies.score_report import Score, over_seeds, read_score, write_scores
+from resc.studies.score_report import Score, markdown, over_seeds, read_score, write_scores
 from resc.studies.scores import as_evaluation, fly_sweep
+from resc.studies.shared_scores import on_same_maps
 from resc.studies.study import Run, Sweep, read_sweep
 
 NEAR = {
@@ -102,6 +103,51 @@ def test_report_has_a_row_for_every_variant_and_names_the_worst_seed(tmp_path):
         rows = list(csv.DictReader(file))
     assert [(row["variant"], row["suite"]) for row in rows][-1] == ("a", "far")
     assert plt.imread(tmp_path / "scores.png").shape[1] > 600
+
+
+def write_flights(folder, *ids, success=(True, True), **columns):
+    """Two flights, each on a map of its own."""
+    table = {"scene": ["wood"] * 2, "flight": [0, 1], "map": [0, 1], "map_id": ids}
+    table |= {"outcome": ["success"] * 2, "success": success, "collided": [False] * 2}
+    table |= {"counted_steps": [9] * 2, "planned_length": [6.0] * 2, "steps_over_limit": [0] * 2}
+    folder.mkdir()
+    with (folder / "flights.csv").open("w", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        table = {name: column for name, column in {**table, **columns}.items() if column}
+        rows.writerow(table)
+        rows.writerows(zip(*table.values(), strict=True))
+    return folder
+
+
+def test_scores_are_over_the_maps_that_are_the_same_for_all_runs(tmp_path):
+    scores = [score("a", 0, "wood"), score("b", 1, "wood"), score("a", 0), score("b", 1)]
+    folders = {
+        (0, "wood"): write_flights(tmp_path / "0", "m1", "m2", time_within_half_metre=[5.0, 9.0]),
+        (1, "wood"): write_flights(tmp_path / "1", "m1", "m3", success=(True, False)),
+        (0, "near"): write_flights(tmp_path / "2", "m1", "m2"),
+        (1, "near"): write_flights(tmp_path / "3"),  # of before maps were told apart
+    }
+    found = on_same_maps(scores, folders)
+    assert [(s.run.number, s.suite) for s in found] == [(s.run.number, s.suite) for s in scores]
+    assert [s.flights for s in found] == [1, 1, 10, 10]
+    assert [s.values["success_rate"] for s in found] == [1.0, 1.0, 0.9, 0.9]
+    assert found[0].values["time_span_s"] == 5.0
+    text = markdown(Sweep(tmp_path, tuple(s.run for s in scores[:2]), {}), found)
+    wood, near = text.split("## ")[1:]
+    assert "Left out: 1 of 2 maps of wood, which are not the same for all runs: a map" in wood
+    assert "Left out" not in near
+
+
+def test_runs_without_a_map_in_common_have_no_score(tmp_path):
+    scores = [score("a", 0), score("b", 1)]
+    folders = {
+        (0, "near"): write_flights(tmp_path / "0", "m1", "m2"),
+        (1, "near"): write_flights(tmp_path / "1", "m3", "m4"),
+    }
+    found = on_same_maps(scores, folders)
+    assert [s.flights for s in found] == [0, 0]
+    text = write_scores(Sweep(tmp_path, tuple(s.run for s in scores), {}), found, tmp_path)
+    assert "Left out: 2 of 2 maps of wood" in text
 
 
 def test_table_that_was_cut_is_named(tmp_path):
