@@ -37,6 +37,7 @@ from resc.planning.route import planner_for
 from resc.planning.time_optimal import Limits
 from resc.policies.stored import StoredPolicy
 from resc.run_folder import POLICY, finish_run, near, provenance
+from resc.scenes.files_named import content_of
 
 NO_MATTER = ("name", "threads", "policy", "pilot")
 """Settings by which no number of an evaluation changes; of the policy and the
@@ -76,7 +77,7 @@ class Evaluation:
                 or a pilot cannot fly this environment.
         """
         began = time.perf_counter()
-        contest = self.contest()
+        contest, fingerprint = self.contest(), self.fingerprint  # of the files as they are now
         folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(OmegaConf.create(dict(self.asked)), folder / "config.yaml")
         write_terms(self._rules[contest.courses[0].own_routes].stages, folder)
@@ -89,7 +90,7 @@ class Evaluation:
             "frames_per_s": frames / flying_s,
             **_summary(results),
             "policy": str(near(Path(self.config["policy"]).resolve())),
-            "fingerprint": self.fingerprint,
+            "fingerprint": fingerprint,
             "seed": self.config["seed"],
             **provenance(),
         }
@@ -111,8 +112,8 @@ class Evaluation:
     def fingerprint(self) -> str:
         """SHA-256 of all that is flown and what it is measured by, but for the code.
 
-        Settings, scenes, what the pilots say of themselves, the policy's weights and the stored
-        references: equal for equal evaluations.
+        Settings, scenes and the files that they name, what the pilots say of themselves, the
+        policy's weights and the stored references: equal for equal evaluations.
         """
         config = self.config
         plain = OmegaConf.to_container(OmegaConf.create(dict(config)), resolve=True)
@@ -124,9 +125,9 @@ class Evaluation:
         text = json.dumps(made, sort_keys=True, default=str).encode()
         named = Path(config["references"]) if config["references"] else None
         files = [Path(config["policy"]) / POLICY, *files_of(named)]
-        return hashlib.sha256(
-            b"".join([text, *(path.read_bytes() if path.is_file() else b"" for path in files)])
-        ).hexdigest()
+        stored = (path.read_bytes() if path.is_file() else b"" for path in files)
+        maps = content_of(list(self.scenes.values()))
+        return hashlib.sha256(b"".join([text, *stored, maps])).hexdigest()
 
     @cached_property
     def limits(self) -> Limits:

@@ -16,6 +16,7 @@ from resc.scenes.turned import turned
 
 NEEDED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 MODES = ("trinary", "scale", "raw")
+SUFFIXES = (".yaml", ".yml")
 IMAGES = (".pgm", ".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
 OPAQUE = 255
 
@@ -57,6 +58,16 @@ def read_map_server(path: Path, reading: Reading) -> GridMap:
     if yaw == 0:
         return GridMap(np.ascontiguousarray(cells), cell_m, (x, y))
     return turned(GridMap(cells, cell_m, (x, y)), yaw, outside=reading.unknown_occupied)
+
+
+def image_of(path: Path) -> Path | None:
+    """The image that a map's YAML file names; None of another file, or one that names none."""
+    if path.suffix.lower() not in SUFFIXES:
+        return None
+    try:
+        return path.parent / str(_described(path)["image"])
+    except ConfigError:
+        return None
 
 
 def refuse_image(path: Path) -> None:

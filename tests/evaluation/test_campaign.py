@@ -291,6 +291,28 @@ def test_pilot_that_cannot_fly_is_refused_before_anything_is_planned(evaluation,
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("changed", ["room.npz", "room.pgm", "room.yaml", "room.ply", "room.npy"])
+def test_an_evaluation_on_a_map_file_that_was_edited_is_another(
+    changed, evaluation, policy, tmp_path
+):
+    for suffix in ("npz", "pgm", "ply", "npy"):
+        (tmp_path / f"room.{suffix}").write_bytes(b"one")
+    needed = "resolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 1\nfree_thresh: 0\n"
+    (tmp_path / "room.yaml").write_text(f"image: room.pgm\n{needed}")
+
+    def fingerprint():
+        scenes = {name: {"file": str(tmp_path / f"room.{name}")} for name in ("npz", "ply")}
+        scenes["grid"] = {"occupancy": str(tmp_path / "room.npy"), "law": "long" * 999}
+        scenes["windows"] = {"families": {"map": {"file": str(tmp_path / "room.yaml")}}}
+        return Evaluation(evaluation(), policy, scenes).fingerprint
+
+    before = fingerprint()
+    assert fingerprint() == before
+    with (tmp_path / changed).open("ab") as file:
+        file.write(b"# two\n")
+    assert fingerprint() != before
+
+
 def test_two_choices_of_the_dynamics_are_refused(evaluation, policy):
     both = ["simulator=mujoco", "dynamics=lag_and_drag"]
     with pytest.raises(ConfigError, match="simulator=mujoco chooses the dynamics, and so does dyn"):
