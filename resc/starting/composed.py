@@ -1,7 +1,8 @@
 """What the run at hand is composed from: its files, its suites, its scenes."""
 
+import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any, NamedTuple, cast
 
@@ -16,9 +17,12 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from resc.command_line import override
 from resc.errors import ConfigError, nearest
 from resc.groups import names
 
+PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+"""A name of a scene that may be part of Hydra's keys."""
 LISTS = names(lambda group: group.several)
 """Groups of which a configuration takes several files."""
 
@@ -103,25 +107,53 @@ def compose_scenes(names: Sequence[str], numbers: Mapping[str, Any]) -> dict[str
     """The scenes of these names with the numbers given in place of their own.
 
     Raises:
-        ConfigError: A scene is unknown or named twice.
+        ConfigError: A scene is unknown, named twice or cannot be composed.
     """
     listed = [s.list("scene", ObjectType.CONFIG) for s in sources_of_run() if s.is_group("scene")]
     known = set(chain.from_iterable(listed))
-    hydra_config = HydraConfig.get()
-    search = [text for text in hydra_config.overrides.hydra if "searchpath" in text]
     for name, times in Counter(names).items():
         if name not in known:
             raise ConfigError(f"Unknown scene '{name}'.{nearest(name, known)}")
         if times > 1:
             raise ConfigError(f"scenes names '{name}' {times} times; raise flights instead.")
-    every = [*search, *(f"+scene@scene.{name}={name}" for name in names)]
-    found = compose(hydra_config.job.config_name, every)["scene"]
+    together = _composed_together(names)
     scenes = {}
     for name in names:
-        own = OmegaConf.create(OmegaConf.to_container(found[name], resolve=True))
+        own = OmegaConf.create(together[name] if name in together else _composed_alone(name))
         both = OmegaConf.to_container(OmegaConf.merge(own, numbers), resolve=True)
         scenes[name] = cast(dict[str, Any], both)
     return scenes
+
+
+def _composed_together(names: Sequence[str]) -> dict[str, Any]:
+    """Those of the scenes that mean the same beside each other: it takes as long as one alone.
+
+    What a file interpolates may be read from `scene`, which then holds all of them by name.
+    """
+    plain = [name for name in names if PLAIN.fullmatch(name)]
+    try:
+        found = _composed_scene(override(f"+scene@scene.{name}", name) for name in plain)
+    except (HydraException, OmegaConfBaseException):  # told by the one that cannot be composed
+        return {}
+    if set(found) != set(plain):  # a file puts something elsewhere
+        return {}
+    nodes = {name: OmegaConf.to_container(found[name]) for name in plain}
+    return {name: node for name, node in nodes.items() if "${" not in str(node)}
+
+
+def _composed_alone(name: str) -> Any:  # noqa: ANN401 - a node
+    try:
+        return OmegaConf.to_container(_composed_scene([override("+scene", name)]), resolve=True)
+    except (HydraException, OmegaConfBaseException) as error:
+        told = str(error.__cause__ or error).partition("\n")[0].rstrip(".")
+        raise ConfigError(f"scene/{name} cannot be composed: {told}; mend this file.") from None
+
+
+def _composed_scene(overrides: Iterable[str]) -> DictConfig:
+    """The group `scene` with these files, and nothing else of what the command says."""
+    hydra = HydraConfig.get()
+    search = [text for text in hydra.overrides.hydra if "searchpath" in text]
+    return compose(hydra.job.config_name, [*search, *overrides])["scene"]
 
 
 def refuse_doubles() -> None:

@@ -1,0 +1,90 @@
+"""Scenes and suites as a command composes them, from folders of a user's own, too."""
+
+import sys
+
+import pytest
+from shared import QUIET, start_here
+
+from resc.starting.answers import answering
+from resc.starting.composed import compose_scenes
+
+OWN = """\
+_target_: resc.scenes.random_boxes.RandomBoxes
+side_m: [0.3, 0.8]
+keep_clear_m: {keep_clear_m}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder of configuration of a user's own."""
+    for group in ("scene", "suite"):
+        (tmp_path / "mine" / group).mkdir(parents=True)
+    return tmp_path / "mine"
+
+
+@pytest.fixture
+def composed(folder, monkeypatch, tmp_path):
+    """`composed(names, *overrides)`: the scenes of these names, as evaluate.py composes them."""
+    monkeypatch.chdir(tmp_path)
+
+    def compose(names, *overrides):
+        found = []
+        search = f"hydra.searchpath=[file://{folder}]"
+        monkeypatch.setattr(sys, "argv", ["evaluate.py", search, *overrides, *QUIET])
+
+        def run(config):
+            with answering():
+                found.append(compose_scenes(names, config["scene"]))
+
+        start_here(run, "evaluate")
+        return found[0]
+
+    return compose
+
+
+def test_scenes_are_composed_as_each_alone(composed):
+    both = composed(["planned_walls", "paper1_map11"])
+    assert list(both) == ["planned_walls", "paper1_map11"]
+    assert {**composed(["paper1_map11"]), **composed(["planned_walls"])} == both
+
+
+def test_a_scene_may_say_a_number_by_another_of_its_own(composed, folder):
+    text = OWN.format(keep_clear_m="${scene.side_m[1]}")
+    (folder / "scene" / "related.yaml").write_text(text)
+    found = composed(["free", "related"], "+scene.jitter_m=0.2")
+    assert (found["related"]["keep_clear_m"], found["related"]["jitter_m"]) == (0.8, 0.2)
+
+
+def test_a_scene_does_not_read_another_by_its_name(composed, folder):
+    """Together, `scene.side_m` would be the other scene."""
+    text = OWN.format(keep_clear_m="${scene.side_m}")
+    (folder / "scene" / "related.yaml").write_text(text)
+    (folder / "scene" / "side_m.yaml").write_text(OWN.format(keep_clear_m=0.5))
+    assert composed(["side_m", "related"])["related"]["keep_clear_m"] == [0.3, 0.8]
+
+
+@pytest.mark.parametrize("name", ["maze.v2", "13", "my-maze", "null", "a maze"])
+def test_a_scene_may_have_any_name_that_a_file_may_have(composed, folder, name):
+    (folder / "scene" / f"{name}.yaml").write_text(OWN.format(keep_clear_m=0.5))
+    assert composed(["free", name])[name]["keep_clear_m"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (OWN.format(keep_clear_m="${scene.sides}"), "Interpolation key 'scene.sides' not found"),
+        (f"defaults: [plan]\n{OWN.format(keep_clear_m=0.5)}", "In 'scene/wrong': Could not load"),
+    ],
+    ids=["number", "file"],
+)
+def test_a_scene_that_cannot_be_composed_is_named_in_one_sentence(
+    composed, folder, capsys, text, told
+):
+    (folder / "scene" / "wrong.yaml").write_text(text)
+    with pytest.raises(SystemExit):
+        composed(["free", "wrong"])
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: scene/wrong cannot be composed: {told}")
+    assert said.endswith("; mend this file.\n")
+    assert said.count("\n") == 1
