@@ -6,7 +6,7 @@ import pytest
 from shared import QUIET, start_here
 
 from resc.starting.answers import answering
-from resc.starting.composed import compose_scenes
+from resc.starting.composed import compose_scenes, refuse_doubles
 
 OWN = """\
 _target_: resc.scenes.random_boxes.RandomBoxes
@@ -25,7 +25,10 @@ def folder(tmp_path):
 
 @pytest.fixture
 def composed(folder, monkeypatch, tmp_path):
-    """`composed(names, *overrides)`: the scenes of these names, as evaluate.py composes them."""
+    """`composed(names, *overrides)`: the scenes of these names, as evaluate.py composes them.
+
+    Without names, they are those of the suite.
+    """
     monkeypatch.chdir(tmp_path)
 
     def compose(names, *overrides):
@@ -35,7 +38,8 @@ def composed(folder, monkeypatch, tmp_path):
 
         def run(config):
             with answering():
-                found.append(compose_scenes(names, config["scene"]))
+                refuse_doubles()
+                found.append(compose_scenes(names or list(config["suite"]), config["scene"]))
 
         start_here(run, "evaluate")
         return found[0]
@@ -88,3 +92,52 @@ def test_a_scene_that_cannot_be_composed_is_named_in_one_sentence(
     assert said.startswith(f"error: scene/wrong cannot be composed: {told}")
     assert said.endswith("; mend this file.\n")
     assert said.count("\n") == 1
+
+
+MINE = "paper1_map11: {flights: 1}\ngaps: {maps: 100, flights: 5}\n"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (
+            ["suite=[mine,paper]"],
+            "suite.paper1_map11.flights is 1 in suite/mine and 20 in suite/paper; leave one of "
+            "the suites out, or say which counts: suite.paper1_map11.flights=1.",
+        ),
+        (["suite=[paper,mine]"], "suite.paper1_map11.flights is 20 in suite/paper and 1 in suite/"),
+        (["suite=[paper,mine]", "maps=3"], "suite.paper1_map11.flights is 20 in suite/paper and 1"),
+        (["suite=[paper,mine]", "flights=null"], "suite.paper1_map11.flights is 20 in suite/paper"),
+        (["suite=[gaps,drawn]"], "suite.gaps.maps is 100 in suite/gaps and null in suite/drawn"),
+        (
+            ["suite=[gaps,drawn]", "maps=7", "flights=3"],
+            "suite.gaps.maps is 100 in suite/gaps and null in suite/drawn",
+        ),
+    ],
+)
+def test_suites_that_fly_a_scene_in_other_numbers_are_named(
+    composed, folder, capsys, overrides, told
+):
+    (folder / "suite" / "mine.yaml").write_text(MINE)
+    (folder / "suite" / "drawn.yaml").write_text("gaps: {flights: 5}\n")
+    with pytest.raises(SystemExit):
+        composed([], *overrides)
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {told}")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["suite=[gaps,mine]"],  # the same numbers twice
+        ["suite=[mine,paper]", "suite.paper1_map11.flights=3"],
+        ["suite=[mine,paper]", "flights=3"],
+        ["suite=[mine,paper]", "~suite.paper1_map11"],
+        ["suite=short"],  # it begins with suite/paper
+    ],
+)
+def test_suites_with_one_answer_are_flown(composed, folder, overrides):
+    (folder / "suite" / "mine.yaml").write_text(MINE)
+    (folder / "suite" / "short.yaml").write_text(f"defaults: [paper, _self_]\n{MINE}")
+    assert composed([], *overrides)

@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import chain
+from itertools import chain, combinations, product
 from typing import Any, NamedTuple, cast
 
 from hydra import compose
@@ -17,8 +17,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from resc.command_line import override
-from resc.errors import ConfigError, nearest
+from resc.command_line import override, split_override
+from resc.errors import ConfigError, nearest, shown
+from resc.evaluation.suites import KNOWN
 from resc.groups import names
 
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -157,15 +158,17 @@ def _composed_scene(overrides: Iterable[str]) -> DictConfig:
 
 
 def refuse_doubles() -> None:
-    """Refuses a composed configuration in which a term is defined twice.
+    """Refuses a composed configuration in which a term, or the numbers of a scene, are said twice.
 
     Hydra would merge the two without a word: the numbers of the later one would count.
 
     Raises:
-        ConfigError: The term and the files that define it.
+        ConfigError: The term and the files that define it, or the scene and its suites.
     """
     defined: dict[str, File] = {}
-    for file in files_of_lists(LISTS):
+    files = list(files_of_lists(LISTS))
+    _refuse_other_numbers([file for file in files if file.group == "suite"])
+    for file in files:
         for name, node in file.content.items():
             if not isinstance(node, DictConfig) or "_target_" not in node:
                 continue
@@ -175,6 +178,40 @@ def refuse_doubles() -> None:
                 source = " and ".join(both) if len(both) > 1 else f"{file.path}, listed twice"
                 raise ConfigError(f"{term} is defined by {source}; keep one, or rename the other.")
             defined[term] = file
+
+
+def _refuse_other_numbers(files: Sequence[File]) -> None:
+    """Refuses suites that fly the same scene in other numbers, unless the command says which."""
+    settled = {key for key, value in map(split_override, given()) if value != "null"}
+    for one, other in combinations(files, 2):
+        if _lists(one, other, files) or _lists(other, one, files):
+            continue  # a suite may give other numbers than those that it begins with
+        for name, number in product(one.content, KNOWN):
+            key, both = f"suite.{name}.{number}", [_number(f, name, number) for f in (one, other)]
+            if name not in other.content or both[0] == both[1]:
+                continue
+            if {key, f"~suite.{name}"} & settled or (number in settled and None not in both):
+                continue
+            first, second = ("null" if value is None else shown(value) for value in both)
+            raise ConfigError(
+                f"{key} is {first} in {one.path} and {second} in {other.path}; leave one of the "
+                f"suites out, or say which counts: {key}={first}."
+            )
+
+
+def _number(file: File, name: Any, number: str) -> Any:  # noqa: ANN401 - as a file holds it
+    """What a suite says of a scene; a suite that is wrong is told where it is read."""
+    numbers = cast(dict[Any, Any], OmegaConf.to_container(file.content)).get(name)
+    return numbers.get(number) if isinstance(numbers, dict) else None
+
+
+def _lists(one: File, other: File, files: Sequence[File]) -> bool:
+    """Whether a file has another one among its defaults, or among those of its defaults."""
+    listed_by = {file.path: file.listed_by for file in files}
+    path = other.listed_by
+    while path and path != one.path:
+        path = listed_by.get(path, "")
+    return path == one.path
 
 
 def _for_both(one: File, other: File) -> bool:
