@@ -30,7 +30,7 @@ from resc.process import prepare_process
 from resc.run_folder import CONFIG, finish_run, link_latest, put_aside, succeeded
 from resc.settings import RESUMABLE, check_settings
 from resc.starting.answers import answering
-from resc.starting.composed import refuse_doubles
+from resc.starting.composed import refuse_doubles, refuse_idle_clearance
 from resc.starting.launch import launch
 from resc.starting.origin import note_origin
 from resc.sweep_folder import go_on
@@ -43,6 +43,7 @@ def main(config: DictConfig) -> None:
     overrides = HydraConfig.get().overrides.task
     with answering(), beginning.claimed_together(folder, resumes=bool(config["resume"])):
         refuse_doubles()
+        refuse_idle_clearance(config)
         check_settings(config, schema.TrainSchema)
         OmegaConf.resolve(config)
         if config["init_from"]:

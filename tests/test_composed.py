@@ -1,10 +1,14 @@
 """Scenes and suites as a command composes them, from folders of a user's own, too."""
 
+import re
 import sys
 
 import pytest
 from shared import QUIET, start_here
 
+import resc
+import train
+from resc.errors import ConfigError
 from resc.starting.answers import answering
 from resc.starting.composed import compose_scenes, refuse_doubles
 
@@ -141,3 +145,87 @@ def test_suites_with_one_answer_are_flown(composed, folder, overrides):
     (folder / "suite" / "mine.yaml").write_text(MINE)
     (folder / "suite" / "short.yaml").write_text(f"defaults: [paper, _self_]\n{MINE}")
     assert composed([], *overrides)
+
+
+KEPT = "search.clearance_m would change nothing: "
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["planned"], "planned says itself what the routes keep"),
+        (["planned", "planned_map"], "planned, planned_map say themselves what the routes keep"),
+    ],
+)
+def test_a_clearance_that_no_scene_of_an_evaluation_takes_from_the_search_is_refused(
+    composed, capsys, names, said
+):
+    with pytest.raises(SystemExit):
+        composed(names, "search.clearance_m=0.9")
+    told = f"{KEPT}{said}; leave it out, or give '+scene.clearance_m=[0.9,0.9]'."
+    assert capsys.readouterr().err == f"error: {told}\n"
+
+
+def test_a_clearance_that_some_scenes_take_from_the_search_is_heeded(composed):
+    assert len(composed(["planned", "forest_low"], "search.clearance_m=0.3")) == 2
+    assert (
+        composed(["planned"], "+scene.clearance_m=[0.9,0.9]")["planned"]["clearance_m"] == [0.9] * 2
+    )
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (
+            ["search.clearance_m=0.9"],
+            f"{KEPT}scene=planned says itself what the routes keep; leave it out, or give "
+            "scene.clearance_m=[0.9,0.9].",
+        ),
+        (["++search.clearance_m=0.9", "scene=planned_walls"], f"{KEPT}scene=planned_walls says"),
+        (["+experiment=dial", "search.clearance_m=0.9"], f"{KEPT}scene=planned says itself"),
+        (
+            ["+scene@held_out.scene=planned_map", "search.clearance_m=0.9"],
+            f"{KEPT}scene=planned, held_out.scene=planned_map say themselves",
+        ),
+        (
+            ["+experiment=ablate_search", "held_out.search.clearance_m=0.9"],
+            f"held_out.{KEPT}scene=planned says itself",
+        ),
+        (
+            [
+                "+scene@held_out.scene=forest_low",
+                "+experiment=ablate_search",
+                "search.clearance_m=1",
+            ],
+            f"{KEPT}scene=planned says itself",  # held-out flights have a search of their own
+        ),
+    ],
+)
+def test_a_clearance_that_no_scene_of_a_training_takes_from_the_search_is_refused(overrides, told):
+    with pytest.raises(ConfigError, match=f"^{re.escape(told)}"):
+        resc.load(*overrides)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["scene=forest_low", "search.clearance_m=0.3"],
+        ["+scene@held_out.scene=forest_low", "search.clearance_m=0.3"],
+        ["+experiment=ablate_search"],
+        ["+experiment=mine"],
+    ],
+)
+def test_a_clearance_that_is_kept_or_that_no_command_gives_stays(overrides, folder):
+    (folder / "experiment").mkdir()
+    (folder / "experiment" / "mine.yaml").write_text(
+        "# @package _global_\nsearch:\n  clearance_m: 0.3\n"
+    )
+    resc.load(f"hydra.searchpath=[file://{folder}]", *overrides)
+
+
+def test_train_refuses_a_clearance_that_changes_nothing_before_it_lays_out_scenes(
+    call_script, capsys
+):
+    with pytest.raises(SystemExit, match="1"):
+        call_script(train, "search.clearance_m=0.9", "hydra.run.dir=run")
+    assert f"error: {KEPT}scene=planned says itself" in capsys.readouterr().err

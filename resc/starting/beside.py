@@ -13,14 +13,15 @@ from resc.places import CONF
 from resc.starting.answers import refused
 from resc.starting.arguments import quoted_paths, require_names
 from resc.starting.aside import set_aside
-from resc.starting.composed import refuse_doubles
+from resc.starting.composed import refuse_doubles, refuse_idle_clearance
 
 
 def composed(config_name: str, overrides: Sequence[str]) -> DictConfig:
     """The configuration that a script composes with these overrides, not yet resolved.
 
     Raises:
-        ConfigError: A name does not exist, or a term is defined twice.
+        ConfigError: A name does not exist, a term is defined twice, or a clearance of the
+            search would change nothing.
     """
     if foreign := [each for each in overrides if not isinstance(each, str)]:
         raise ConfigError(f"{foreign[0]!r} is not an override; give texts, such as 'seed=1'.")
@@ -36,6 +37,7 @@ def composed(config_name: str, overrides: Sequence[str]) -> DictConfig:
                 config.hydra.job.config_name = config_name
                 HydraConfig.instance().set_config(config)
                 refuse_doubles()
+                refuse_idle_clearance(config)
         except (HydraException, OmegaConfBaseException) as error:
             raise refused(error, config_name, overrides) from None
     with open_dict(config):

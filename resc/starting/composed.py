@@ -24,6 +24,8 @@ from resc.groups import names
 
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 """A name of a scene that may be part of Hydra's keys."""
+CLEARANCE = ".clearance_m=[{0},{0}]"
+"""What a scene that has a clearance of its own is given for one of the search."""
 LISTS = names(lambda group: group.several)
 """Groups of which a configuration takes several files."""
 
@@ -108,7 +110,8 @@ def compose_scenes(names: Sequence[str], numbers: Mapping[str, Any]) -> dict[str
     """The scenes of these names with the numbers given in place of their own.
 
     Raises:
-        ConfigError: A scene is unknown, named twice or cannot be composed.
+        ConfigError: A scene is unknown, named twice or cannot be composed, or all of them say
+            themselves what the command says for the search.
     """
     listed = [s.list("scene", ObjectType.CONFIG) for s in sources_of_run() if s.is_group("scene")]
     known = set(chain.from_iterable(listed))
@@ -123,6 +126,7 @@ def compose_scenes(names: Sequence[str], numbers: Mapping[str, Any]) -> dict[str
         own = OmegaConf.create(together[name] if name in together else _composed_alone(name))
         both = OmegaConf.to_container(OmegaConf.merge(own, numbers), resolve=True)
         scenes[name] = cast(dict[str, Any], both)
+    _refuse_idle("search", scenes, f"'+scene{CLEARANCE}'")
     return scenes
 
 
@@ -155,6 +159,45 @@ def _composed_scene(overrides: Iterable[str]) -> DictConfig:
     hydra = HydraConfig.get()
     search = [text for text in hydra.overrides.hydra if "searchpath" in text]
     return compose(hydra.job.config_name, [*search, *overrides])["scene"]
+
+
+def refuse_idle_clearance(config: DictConfig) -> None:
+    """Refuses a clearance of the search that the command gives and no scene of a training keeps.
+
+    A file may give one, such as that of an experiment, for whatever scenes are chosen beside it.
+
+    Raises:
+        ConfigError: It names the scene, and its own setting.
+    """
+    if config.get("resume"):  # a run that goes on keeps its settings
+        return
+    held_out = config.get("held_out") or {}
+    trained = {_chosen("scene"): config.get("scene")}
+    place, flown = "scene", trained
+    if held_out.get("scene"):
+        place, flown = "held_out.scene", {_chosen("scene@held_out.scene"): held_out["scene"]}
+    _refuse_idle("held_out.search", flown, place + CLEARANCE)
+    scenes = trained if held_out.get("search") else {**trained, **flown}
+    _refuse_idle("search", scenes, "scene" + CLEARANCE)
+
+
+def _refuse_idle(search: str, scenes: Mapping[str, Any], instead: str) -> None:
+    """Refuses the clearance that the command gives a search if all scenes have their own."""
+    asked = dict(map(split_override, given())).get(f"{search}.clearance_m")
+    own = [isinstance(n, Mapping) and n.get("clearance_m") is not None for n in scenes.values()]
+    if asked is not None and own and all(own):
+        say = "say themselves" if len(own) > 1 else "says itself"
+        raise ConfigError(
+            f"{search}.clearance_m would change nothing: {', '.join(scenes)} {say} what the routes "
+            f"keep; leave it out, or give {instead.format(asked)}."
+        )
+
+
+def _chosen(group: str) -> str:
+    """What the run takes of a group, as it is given."""
+    name = HydraConfig.get().runtime.choices.get(group)
+    path = group.rpartition("@")[2]
+    return f"{path}={name}" if name else path
 
 
 def refuse_doubles() -> None:
