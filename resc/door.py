@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from resc.build import build_terms
+from resc.build import build_terms, without_difficulty
 from resc.command_line import override
 from resc.envs.quadrotor import QuadrotorEnv
 from resc.errors import ConfigError, nearest
@@ -68,8 +68,9 @@ def make_env(
     """The environment that `python train.py` trains in with these overrides, planner included.
 
     It is a TorchRL environment (docs/python.md). Episodes are at full difficulty, and scenes are
-    not renewed, unless the caller does that with `set_difficulty` and `renew`. For Gymnasium, use
-    `gymnasium.make("resc/Flight-v0")` (docs/gymnasium.md).
+    not renewed, unless the caller does that with `set_difficulty` and `renew`. Of a curriculum,
+    only the levels that scenes are laid out at count; episodes begin at the greatest of them. For
+    Gymnasium, use `gymnasium.make("resc/Flight-v0")` (docs/gymnasium.md).
 
     Args:
         *overrides: As on the command line, such as `obstacle_observation=ray_sampling`.
@@ -101,6 +102,7 @@ def make_env(
     curricula = build_terms(
         config["curriculum"], "curriculum", Curriculum, config["allowed_targets"]
     )
+    _refuse_other_curricula(overrides, config, curricula)
     setup = set_up(config, size=config["pool_size"], seed=config["seed"], curricula=curricula)
     return setup.env(config["num_envs"], seed=config["seed"], compiled=config["compile"])
 
@@ -112,6 +114,23 @@ def _refuse_idle(overrides: Sequence[str]) -> None:
         raise ConfigError(
             f"{', '.join(idle)}: this belongs to a training run and changes nothing in "
             "an environment; leave it out, or train with train.py."
+        )
+
+
+def _refuse_other_curricula(
+    overrides: Sequence[str], config: DictConfig, curricula: Sequence[Curriculum]
+) -> None:
+    """Refuses what is said of a curriculum but for the levels that scenes are laid out at."""
+    _, read = without_difficulty(config["scene"], "scene")
+    eases = any(term.name == read and tuple(term.levels) != (1.0,) for term in curricula)
+    keys = {text: text.lstrip("+~").partition("=")[0].split(".") for text in overrides}
+    of_curricula = {text: key[1:2] for text, key in keys.items() if key[0] == "curriculum"}
+    idle = [text for text, name in of_curricula.items() if name != [read] and (name or not eases)]
+    if idle:
+        raise ConfigError(
+            f"{', '.join(idle)}: nothing is trained here, so of a curriculum only the levels count "
+            "that scenes are laid out at; leave it out, and give other difficulties by "
+            "env.set_difficulty(name, value)."
         )
 
 

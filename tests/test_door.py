@@ -148,3 +148,47 @@ def test_a_policy_that_is_not_there_is_named():
 def test_what_means_nothing_to_an_environment_is_refused(idle):
     with pytest.raises(ConfigError, match="belongs to a training run and changes nothing"):
         resc.make_env(idle, num_envs=1, pool_size=1)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "idle"),
+    [
+        (["curriculum=fixed"], ["curriculum=fixed"]),
+        (["~curriculum"], ["~curriculum"]),
+        (
+            ["curriculum=fixed", "curriculum.initial_state.value=0.0"],
+            ["curriculum=fixed", "curriculum.initial_state.value=0.0"],
+        ),
+        (
+            ["curriculum=success", "curriculum.caution.share=0.6", "seed=1"],
+            ["curriculum.caution.share=0.6"],
+        ),
+        (["scene.difficulty=null", "curriculum=success"], ["curriculum=success"]),
+    ],
+)
+def test_a_curriculum_that_changes_nothing_in_an_environment_is_refused(overrides, idle):
+    with pytest.raises(ConfigError) as raised:
+        resc.make_env(*overrides, num_envs=1, pool_size=8)
+    assert str(raised.value).startswith(f"{', '.join(idle)}: nothing is trained here")
+    assert "env.set_difficulty(name, value)" in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "level"),
+    [
+        (["curriculum=success"], 1.0),
+        (["curriculum=linear", "+curriculum.obstacles.last=0.5"], 0.5),
+        (["curriculum=fixed", "curriculum.obstacles.value=0.5"], 0.5),
+    ],
+)
+def test_scenes_are_laid_out_at_the_levels_of_a_curriculum_and_flown_at_the_greatest(
+    overrides, level
+):
+    env = resc.make_env(*overrides, num_envs=4, pool_size=8)
+    assert float(env.pool.levels[-1]) == env.scene_difficulty == level
+    assert {name: float(value) for name, value in env.difficulties.items()} == {
+        **dict.fromkeys(env.difficulties, 1.0),
+        "obstacles": level,
+    }
+    env.restart(torch.arange(4))
+    assert env.flown_difficulties["obstacles"].tolist() == [[level]] * 4

@@ -43,7 +43,8 @@ class QuadrotorEnv(TorchRlFace):
         facts: What step and reset depend on, so that their programs can be kept
             (`resc.kept_program`); empty where they are not.
 
-    Episodes begin at full difficulty unless `set_difficulty` says otherwise.
+    Episodes begin at full difficulty, or the greatest that scenes are laid out at, unless
+    `set_difficulty` says otherwise.
     """
 
     def __init__(
@@ -87,7 +88,9 @@ class QuadrotorEnv(TorchRlFace):
         self.difficulties = {
             name: torch.ones(1, 1, device=self.device) for name in stages.difficulties
         }
-        self.scene_difficulty = 1.0
+        self.scene_difficulty = pool.levels.tolist()[-1]
+        if stages.scene_difficulty:
+            self.difficulties[stages.scene_difficulty].fill_(self.scene_difficulty)
         self._world: World = {}
         self.before: World = {}
         self.set_seed(seed)
@@ -214,7 +217,7 @@ class QuadrotorEnv(TorchRlFace):
         return torch.isin(self._world[keys.SCENE_INDEX][:, 0], entries).nonzero()[:, 0]
 
     def set_difficulty(self, name: str, value: float) -> None:
-        """Eases the episodes that begin from now on; 1 is full difficulty, as at construction.
+        """Eases the episodes that begin from now on; 1 is full difficulty.
 
         Raises:
             ConfigError: Nothing reads it, or scenes are laid out at another difficulty only.
