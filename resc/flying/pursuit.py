@@ -93,7 +93,7 @@ class Pursuit(Pilot):
         route = world[keys.ROUTE_W]
         if self.start is None or self.route is None:
             self.start, self.route = position.clone(), route.clone()
-        new = (route != self.route).flatten(1).any(-1, keepdim=True)  # planned again in flight
+        new = route.ne(self.route).flatten(1).any(-1).unsqueeze(-1)  # planned again in flight
         start = self.start = torch.where(new, position, self.start)
         self.flown, self.route = torch.where(new, 0.0, self.flown), route.clone()
         line = torch.cat((start.unsqueeze(1), route), 1)
