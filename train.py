@@ -39,11 +39,10 @@ from resc.sweep_folder import go_on
 @hydra.main(version_base="1.3", config_path="conf", config_name="train")
 def main(config: DictConfig) -> None:
     """One training run in Hydra's run folder, or in that of the run it goes on with."""
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    overrides = HydraConfig.get().overrides.task
+    folder, overrides = Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().overrides.task
     with answering(), beginning.claimed_together(folder, resumes=bool(config["resume"])):
         refuse_doubles()
-        refuse_idle_clearance(config)
+        refuse_idle_clearance(config["scene"], config["held_out"])
         check_settings(config, schema.TrainSchema)
         OmegaConf.resolve(config)
         if config["init_from"]:

@@ -102,7 +102,7 @@ def make_env(
     curricula = build_terms(
         config["curriculum"], "curriculum", Curriculum, config["allowed_targets"]
     )
-    _refuse_other_curricula(overrides, config, curricula)
+    _refuse_other_curricula(overrides, curricula, without_difficulty(config["scene"], "scene")[1])
     setup = set_up(config, size=config["pool_size"], seed=config["seed"], curricula=curricula)
     return setup.env(config["num_envs"], seed=config["seed"], compiled=config["compile"])
 
@@ -118,10 +118,9 @@ def _refuse_idle(overrides: Sequence[str]) -> None:
 
 
 def _refuse_other_curricula(
-    overrides: Sequence[str], config: DictConfig, curricula: Sequence[Curriculum]
+    overrides: Sequence[str], curricula: Sequence[Curriculum], read: str | None
 ) -> None:
-    """Refuses what is said of a curriculum but for the levels that scenes are laid out at."""
-    _, read = without_difficulty(config["scene"], "scene")
+    """Refuses what is said of a curriculum but for that of the difficulty that the scene reads."""
     eases = any(term.name == read and tuple(term.levels) != (1.0,) for term in curricula)
     keys = {text: text.lstrip("+~").partition("=")[0].split(".") for text in overrides}
     of_curricula = {text: key[1:2] for text, key in keys.items() if key[0] == "curriculum"}

@@ -37,7 +37,7 @@ def composed(config_name: str, overrides: Sequence[str]) -> DictConfig:
                 config.hydra.job.config_name = config_name
                 HydraConfig.instance().set_config(config)
                 refuse_doubles()
-                refuse_idle_clearance(config)
+                refuse_idle_clearance(config.get("scene"), config.get("held_out"))
         except (HydraException, OmegaConfBaseException) as error:
             raise refused(error, config_name, overrides) from None
     with open_dict(config):

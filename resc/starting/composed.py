@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import chain, combinations, product
+from itertools import chain, combinations
 from typing import Any, NamedTuple, cast
 
 from hydra import compose
@@ -19,7 +19,6 @@ from omegaconf.errors import OmegaConfBaseException
 
 from resc.command_line import override, split_override
 from resc.errors import ConfigError, nearest, shown
-from resc.evaluation.suites import KNOWN
 from resc.groups import names
 
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -161,23 +160,27 @@ def _composed_scene(overrides: Iterable[str]) -> DictConfig:
     return compose(hydra.job.config_name, [*search, *overrides])["scene"]
 
 
-def refuse_idle_clearance(config: DictConfig) -> None:
+def refuse_idle_clearance(scene: object, held_out: Mapping[Any, Any] | None) -> None:
     """Refuses a clearance of the search that the command gives and no scene of a training keeps.
 
-    A file may give one, such as that of an experiment, for whatever scenes are chosen beside it.
+    A file may give one, such as that of an experiment, for whatever scenes are chosen beside it. A
+    run that goes on keeps its settings.
+
+    Args:
+        scene: Its node.
+        held_out: Nodes that take the place of the training's in held-out flights.
 
     Raises:
         ConfigError: It names the scene, and its own setting.
     """
-    if config.get("resume"):  # a run that goes on keeps its settings
+    if dict(map(split_override, given())).get("resume", "null") != "null":
         return
-    held_out = config.get("held_out") or {}
-    trained = {_chosen("scene"): config.get("scene")}
+    own, trained = held_out or {}, {_chosen("scene"): scene}
     place, flown = "scene", trained
-    if held_out.get("scene"):
-        place, flown = "held_out.scene", {_chosen("scene@held_out.scene"): held_out["scene"]}
+    if own.get("scene"):
+        place, flown = "held_out.scene", {_chosen("scene@held_out.scene"): own["scene"]}
     _refuse_idle("held_out.search", flown, place + CLEARANCE)
-    scenes = trained if held_out.get("search") else {**trained, **flown}
+    scenes = trained if own.get("search") else {**trained, **flown}
     _refuse_idle("search", scenes, "scene" + CLEARANCE)
 
 
@@ -229,23 +232,24 @@ def _refuse_other_numbers(files: Sequence[File]) -> None:
     for one, other in combinations(files, 2):
         if _lists(one, other, files) or _lists(other, one, files):
             continue  # a suite may give other numbers than those that it begins with
-        for name, number in product(one.content, KNOWN):
-            key, both = f"suite.{name}.{number}", [_number(f, name, number) for f in (one, other)]
-            if name not in other.content or both[0] == both[1]:
-                continue
-            if {key, f"~suite.{name}"} & settled or (number in settled and None not in both):
-                continue
-            first, second = ("null" if value is None else shown(value) for value in both)
-            raise ConfigError(
-                f"{key} is {first} in {one.path} and {second} in {other.path}; leave one of the "
-                f"suites out, or say which counts: {key}={first}."
-            )
+        for name in [name for name in one.content if name in other.content]:
+            mine, theirs = _numbers(one, name), _numbers(other, name)
+            for number in {**mine, **theirs}:
+                key, both = f"suite.{name}.{number}", (mine.get(number), theirs.get(number))
+                said = {key, f"~suite.{name}"} if None in both else {key, f"~suite.{name}", number}
+                if both[0] == both[1] or said & settled:
+                    continue
+                first, second = ("null" if value is None else shown(value) for value in both)
+                raise ConfigError(
+                    f"{key} is {first} in {one.path} and {second} in {other.path}; leave one of "
+                    f"the suites out, or say which counts: {key}={first}."
+                )
 
 
-def _number(file: File, name: Any, number: str) -> Any:  # noqa: ANN401 - as a file holds it
+def _numbers(file: File, name: Any) -> dict[Any, Any]:  # noqa: ANN401 - as a file holds it
     """What a suite says of a scene; a suite that is wrong is told where it is read."""
-    numbers = cast(dict[Any, Any], OmegaConf.to_container(file.content)).get(name)
-    return numbers.get(number) if isinstance(numbers, dict) else None
+    numbers = cast(dict[Any, Any], OmegaConf.to_container(file.content))[name]
+    return numbers if isinstance(numbers, dict) else {}
 
 
 def _lists(one: File, other: File, files: Sequence[File]) -> bool:
