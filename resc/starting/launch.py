@@ -15,6 +15,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from resc import early as early  # for what it does as it is imported
 from resc import ranks
 from resc.errors import ConfigError, ExitCode
 from resc.places import CONF
