@@ -40,7 +40,7 @@ class Counted:
             if half is not None:
                 shape = f"column of {radius:g} m radius and {half:g} m half height"
             text = f"the last control point is reached, that is, its {shape} is entered"
-        moved = "; an end that a new route had to move out of the clearance counts where it is"
+        moved = "; if a new route had to move its end away from an obstacle, the moved end counts"
         return text + (moved if self.replans else "")
 
     def limit(self, limits: Limits) -> str:

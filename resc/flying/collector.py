@@ -230,7 +230,7 @@ class Collector:
     def _allocate(self, seen: TensorDict, chosen: TensorDict) -> TensorDict:
         """The batch's memory [steps, n]: for what is seen and chosen, and for what comes of it.
 
-        Numbers that are never written are none, so that no value is learned from zeros.
+        Numbers begin as NaN: what is never written cannot be learned from unnoticed.
         """
         env = self.env
         column = torch.zeros(env.num_envs, 1, device=env.device)

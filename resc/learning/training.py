@@ -160,7 +160,8 @@ def train(
         unit_scale=True,
     )
     if total_frames < trainer.batch_frames and ranks.is_first():
-        print(f"A batch is {trainer.batch_frames} steps: all of it is trained.", flush=True)
+        whole = f"a batch is {trainer.batch_frames} steps, and a whole one is trained"
+        print(f"total_frames is {total_frames}; {whole}.", flush=True)
     with stopping_at_batch_end() as interruption, bar:
         while trainer.frames < total_frames and not ranks.any_of(interruption.requested):
             began = time.monotonic()

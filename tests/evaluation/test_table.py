@@ -113,7 +113,7 @@ def test_tables_for_programs_read_back(reports, tmp_path):
 def test_the_footnote_names_what_was_counted():
     counted = Counted(over=(1.0, 2.5, 0.5236), column=(0.65, None), replans=True)
     text = " ".join(markdown(report_scenes([table("free")]), NOMINAL, counted).split())
-    assert "its sphere of 0.65 m radius is entered; an end that a new route had to move" in text
+    assert "its sphere of 0.65 m radius is entered; if a new route had to move its end" in text
     assert "over a limit above 1 m/s, 2.5 m/s^2 or 30 deg of roll or pitch." in text
     usual = " ".join(markdown(report_scenes([table("free")])).split())
     assert "its column of 0.5 m radius and 0.2 m half height is entered. SPL" in usual

@@ -56,7 +56,9 @@ def test_a_budget_below_a_batch_is_told(compose, tmp_path, capsys):
     complete, table = run(TrainingRun(compose(*SMALL)).trainer(), tmp_path, total_frames=1)
     assert complete
     assert [row["frames"] for row in table.rows] == [128]
-    assert capsys.readouterr().out == "A batch is 128 steps: all of it is trained.\n"
+    assert capsys.readouterr().out == (
+        "total_frames is 1; a batch is 128 steps, and a whole one is trained.\n"
+    )
 
 
 def test_the_curve_has_one_line_of_success_for_each_of_several_difficulties(tmp_path, monkeypatch):

@@ -159,8 +159,8 @@ class StepsOverLimit(Metric):
 class TimeWithin(Metric):
     """First time [s] within `radius_m` of the goal; infinite until then.
 
-    The goal is the last control point, where routes are planned again that of the first one. Runs
-    on after the finish.
+    The goal is the last control point of the route that the episode begins with, also where routes
+    are planned again. Runs on after the finish.
     """
 
     reads = (keys.POSITION_W, keys.ROUTE_W, keys.CLOCK)
